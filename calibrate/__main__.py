@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class _CommandParser(argparse.ArgumentParser):
-    """Says what is wrong in one line and leaves with code 2."""
+    """Parser that reports an error in one line and exits with code 2."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")

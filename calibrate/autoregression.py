@@ -25,8 +25,8 @@ def sum_lagged_products(parts: Sequence[np.ndarray], most: int) -> np.ndarray:
 
 
 def fit_autoregression(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
-    """Coefficients [order + 1], the first 1, of the process and the variance of its innovations
-    (Yule-Walker equations).
+    """Coefficients [order + 1], the first 1, of the autoregressive process, and the variance of its
+    innovations (Yule-Walker equations).
 
     Args:
         covariance: [order + 1 or more] autocovariance.

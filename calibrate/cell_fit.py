@@ -48,8 +48,10 @@ DAMPING = (1e-5, 0.5)
 
 
 class NoiseModel(NamedTuple):
-    """Noise of a signal. coefficients: of the autoregressive process, the first 1. innovation: (g).
-    covariance: [lags + 1] (g2).
+    """Noise of a signal.
+
+    coefficients: of the autoregressive process, the first 1. innovation: (g). covariance: [lags +
+    1] (g2).
     """
 
     coefficients: np.ndarray
@@ -68,10 +70,14 @@ class NoiseModel(NamedTuple):
 class CellFit:
     """A fitted load cell.
 
-    parameters: name -> {"value", "low", "high", "sd"} in kg, Hz and 1. covariance: [3, 3] of the
-    logarithms. noise: of the signal. rate: samples per second. taps: number. touch: (s) for which a
-    tap touches. dispersion: variance between taps relative to that of the noise. residual: (g)
-    standard deviation.
+    parameters: name -> {"value", "low", "high", "sd"} in kg, Hz and 1
+    covariance: [3, 3] of the logarithms
+    noise: of the signal
+    rate: samples per second
+    taps: their number
+    touch: (s) contact time of a tap
+    dispersion: variance between taps relative to that of the noise
+    residual: (g) standard deviation
     """
 
     parameters: dict[str, dict[str, float]]
@@ -118,8 +124,9 @@ def fit_cell(
 
     Args:
         oscillations: of the empty bucket and, unless its mass is given, of the bucket with one load
-        or several. interval: (s) between samples. mass: (kg) of the empty bucket, where it is
-        known.
+        or several.
+        interval: (s) between samples.
+        mass: (kg) of the empty bucket, where it is known.
 
     Returns:
         `CellFit`.
@@ -157,8 +164,8 @@ def _check_loads(oscillations: Sequence[Oscillation], mass: float | None) -> Non
 
 
 class _Fit:
-    """Parameters are logarithms: of the mass unless it is given, of frequency and damping ratio of
-    the empty bucket.
+    """State of the fit. Parameters are logarithms: of the mass unless it is given, of frequency and
+    damping ratio of the empty bucket.
     """
 
     def __init__(self, rings: Sequence[Oscillation], interval: float, mass: float | None) -> None:
@@ -170,7 +177,7 @@ class _Fit:
         return np.exp(place) if self.mass is None else np.array([self.mass, *np.exp(place)])
 
     def root(self, place: np.ndarray, load: float) -> complex:
-        """Of the free oscillation with a load (kg): (1/s)."""
+        """Root (1/s) of the free oscillation with a load (kg)."""
         mass, frequency, ratio = self.values(place)
         omega, decay = 2 * np.pi * frequency, 2 * np.pi * frequency * ratio * mass / (mass + load)
         return complex(-decay, np.sqrt(max(omega**2 * mass / (mass + load) - decay**2, 1.0)))
@@ -178,7 +185,7 @@ class _Fit:
     def residuals(
         self, place: np.ndarray, ring: Oscillation, noise: NoiseModel | None
     ) -> np.ndarray:
-        """Of an oscillation, whitened if the noise is known."""
+        """Residuals of an oscillation, whitened if the noise is known."""
         rows = np.vstack(
             [_basis(self.root(place, ring.load), len(ring.values), self.interval), ring.values]
         )
@@ -200,7 +207,7 @@ class _Fit:
         return [self.residuals(self.place, ring, None) for ring in self.rings]
 
     def mean_square(self) -> float:
-        """Of all residuals (g2)."""
+        """Mean square of all residuals (g2)."""
         return float(np.mean(np.concatenate(self.left()) ** 2))
 
     def excess_at_start(self) -> float:

@@ -22,8 +22,10 @@ PULSE = SHARED.index("squared_pulse")
 
 
 class Segments(NamedTuple):
-    """What holds between edges. begin: [E] (s); force: [E] (kg); mass: [E] (M + p) / M; state at
-    the beginning: level [E] (kg), rate [E] (kg/s), and the integral of the reading [E] (kg s)."""
+    """Constants of the intervals between edges.
+
+    begin: [E] (s); force: [E] (kg); mass: [E] (M + p) / M; state at the beginning: level [E] (kg),
+    rate [E] (kg/s), and the integral of the reading [E] (kg s)."""
 
     begin: jax.Array
     force: jax.Array
@@ -112,7 +114,7 @@ def _propagate(
     level: jax.Array,
     rate: jax.Array,
 ) -> Segments:
-    """The segments with the state at each beginning; level, rate: of the first."""
+    """The segments with the state at each beginning. level, rate: state at the first beginning."""
 
     def step(state: tuple, row: tuple) -> tuple:
         start, end, force, mass = row

@@ -59,10 +59,10 @@ def read_scale_signals(
 
     Args:
         paths: tables with a column for each portion, or HDF5 files.
-        options: what tables do not tell themselves; rate and noise of simulated drops.
+        options: units and signs that tables lack; rate and noise of simulated drops.
 
     Returns:
-        The signals, and what else their files tell.
+        The signals, and the other contents of their files.
 
     Raises:
         BadInput: one line.
@@ -79,13 +79,14 @@ def cut_signals(
     pieces: Sequence[int] | None = None,
     weights: np.ndarray | None = None,
 ) -> Portions:
-    """The signals about their onsets, of one length, with what is known of each portion.
+    """Cut the signals about their onsets to one length, with weight and number of pieces of each
+    portion.
 
     Args:
         signals: of one sample interval.
         m_piece: (kg) weight of a piece.
-        pieces: one number for all portions, or one for each. Default: from their weights.
-        weights: [K] (kg). Default: from the ends of the signals.
+        pieces: one number for all portions, or one for each. Default: from their weights. weights:
+        [K] (kg). Default: from the ends of the signals.
 
     Raises:
         BadInput: one line.
@@ -210,7 +211,7 @@ def _common_interval(signals: Sequence[ScaleSignal]) -> float:
 
 
 def _thin(signal: ScaleSignal) -> ScaleSignal:
-    """A signal of many readings as means over FINEST: no more is told by more of them."""
+    """A signal of many readings as means over FINEST; a finer signal holds no more information."""
     count = int(FINEST / signal.interval * (1 + 1e-6)) if signal.interval > 0 else 1
     if count < 2:
         return signal

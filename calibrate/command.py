@@ -1,5 +1,5 @@
-"""What the commands of `python -m calibrate` share: arguments, the files that they write, progress
-and the compilation cache.
+"""Common parts of the commands of `python -m calibrate`: arguments, output files, progress and the
+compilation cache.
 """
 
 import argparse
@@ -24,7 +24,8 @@ FAILED = 1  # exit code where a fit was made and cannot be meant
 
 
 def add_table(parser: argparse.ArgumentParser, unit_by_default: str = "N") -> None:
-    """What a table of text may not tell itself; unit_by_default: of forces without a unit."""
+    """Add the options for data that a text table may lack. unit_by_default: of forces without a
+    unit."""
     table = parser.add_argument_group("tables of text")
     table.add_argument(
         "--time-unit",
@@ -60,7 +61,7 @@ def parse_numbers(text: str) -> list[int]:
 
 
 def add_scale_signals(parser: argparse.ArgumentParser) -> None:
-    """The signals of a scale and what is known of them, for `signal_options`."""
+    """Add the signals of a scale and the options for them, for `signal_options`."""
     signals = "tables of a logger (a column for each portion), or HDF5 ensembles"
     weights = "table whose last column is the weight of each portion (default: at rest)"
     noise = "noise of ensembles: none, typical or a TOML file (default: that of the scene)"
@@ -75,15 +76,15 @@ def add_scale_signals(parser: argparse.ArgumentParser) -> None:
 
 
 def table_options(args: argparse.Namespace) -> "TableOptions":
-    """What the arguments of `add_table` say of tables of text."""
+    """The options of text tables from the arguments of `add_table`."""
     from calibrate.table_columns import TableOptions
 
     return TableOptions(args.decimal, args.time_unit, args.force_unit, args.sample)
 
 
 def signal_options(args: argparse.Namespace, cell: "EmptyCell | None") -> "SignalOptions":
-    """What the arguments of `add_scale_signals` and `add_table` say of signals of a scale with this
-    cell.
+    """The options of signals from the arguments of `add_scale_signals` and `add_table`. cell: of
+    the scale.
     """
     from calibrate.scale_signals import SignalOptions
 
@@ -102,7 +103,7 @@ def check_outputs(args: argparse.Namespace) -> list[Path]:
 def write_results(
     tree: dict[str, Any], paths: list[Path], draw: Callable[[], Any] | None = None
 ) -> None:
-    """Write `tree` as JSON, and to a second path what `draw` returns, a figure. Raises `BadInput`."""
+    """Write `tree` as JSON, and the figure that `draw` returns to a second path. Raises `BadInput`."""
     try:
         with temporary_file(paths[0]) as part:
             part.write_text(json.dumps(tree, indent=2) + "\n", encoding="utf-8")
@@ -115,7 +116,7 @@ def write_results(
 
 @contextlib.contextmanager
 def show_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """What shows the progress of a fit; the bar appears when there is some."""
+    """Yield a function that shows the progress of a fit; the bar appears with its first call."""
     from tqdm import tqdm
 
     bars: list[Any] = []

@@ -1,7 +1,6 @@
 """Tables of other programs, as text: traces with their times, and how the text was understood.
 
-Nothing has to be told that the table tells itself. What it leaves open is an error that says what
-to give.
+Data in the table itself need not be given. Missing data are an error that names the option to give.
 """
 
 from collections.abc import Sequence
@@ -41,7 +40,7 @@ class Column:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """What was read. said: in one line, how the text was understood."""
+    """The columns of a table. said: in one line, how the text was understood."""
 
     columns: list[Column]
     said: str
@@ -57,13 +56,14 @@ def read_table(path: Path, options: TableOptions | None = None) -> CsvTable:
 
     Args:
         path: of a table with any separator, decimal sign and header, or of a LabVIEW measurement
-        (.lvm). options: what the table does not tell itself.
+        (.lvm).
+        options: units, signs and times that the table lacks.
 
     Returns:
-        `Table`: one column of forces (N) with its times (s) for each trace.
+        `CsvTable`: one column of forces (N) with its times (s) for each trace.
 
     Raises:
-        BadInput: one line that says what cannot be read, or cannot be told, and what to do.
+        BadInput: one line with the part that cannot be read or is missing, and a remedy.
     """
     options = options or TableOptions()
     lines = read_lines(path)

@@ -112,7 +112,7 @@ def bands(rows: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Measure:
-    """A number of each portion. words: what it is; unit: as shown; values: [K]."""
+    """A number of each portion. words: its description; unit: as shown; values: [K]."""
 
     words: str
     unit: str

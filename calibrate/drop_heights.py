@@ -27,7 +27,7 @@ SEARCHED = 20.0  # widest interval: factor from the value to its ends
 
 @dataclass(frozen=True)
 class Heights:
-    """Of a portion: values [n] (m), covariance [n, n] (m2) of their errors."""
+    """Drop heights of a portion: values [n] (m), and covariance [n, n] (m2) of their errors."""
 
     values: np.ndarray
     covariance: np.ndarray

@@ -25,8 +25,10 @@ class CellNoise:
 
 @dataclass(frozen=True)
 class EmptyCell:
-    """A load cell without product. mass: (kg). frequency: (Hz). damping_ratio: of the critical
-    damping. noise: of its signal, where it was measured."""
+    """A load cell without product.
+
+    mass: (kg). frequency: (Hz). damping_ratio: damping over the critical damping. noise: of its
+    signal, where it was measured."""
 
     mass: float
     frequency: float
@@ -99,7 +101,7 @@ def _cell_of_section(path: str) -> EmptyCell:
 
 
 def empty_cell_of(cell: "Cell") -> EmptyCell:
-    """From a cell as `dem_jax` has it; of an ensemble over cells the mean one."""
+    """The empty cell from a cell of `dem_jax`; for an ensemble of cells the mean one."""
     mass, frequency, decay = (
         float(np.mean(value)) for value in (cell.mass, cell.frequency, cell.decay)
     )

@@ -31,14 +31,18 @@ AGREEMENT = 0.1  # share of the interval's half width: starts that differ by les
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit found. All SI.
+    """Result of a fit. All SI.
 
     parameters: name -> {"value", "low", "high", "sd", "local_sd"}: 90 % interval of the parametric
-    bootstrap, its standard deviation and the fast local estimate; `free` names those fitted.
-    starts: name -> [S]; losses: [S]; converged, agreed: [S] distances: block -> energy distance;
-    p_values: name -> p-value; rmse_g: the paper's figure, for comparison only statements: what the
-    data can and cannot tell, in words; warnings: those of them that say that the traces, or what
-    was told of them, are hardly what was meant; absurd: parameters that cannot be meant, in words
+    bootstrap, its standard deviation and the fast local estimate
+    free: names of the fitted parameters
+    starts: name -> [S]; losses: [S]; converged, agreed: [S]
+    distances: block -> energy distance
+    p_values: name -> p-value
+    rmse_g: the paper's figure, for comparison only
+    statements: the conclusions that the data allow, and those that they do not, in words
+    warnings: those of the statements that doubt the traces or the inputs with them
+    absurd: parameters that are not plausible, in words
     """
 
     parameters: dict[str, dict[str, Any]]
@@ -150,12 +154,16 @@ def fit(
 ) -> Fit:
     """Fit dt_impact, gamma_low, gamma_high and h_mean to `traces`, a list of `Target`.
 
-    start: dict of start values, any subset (the others from the traces); fixed: dict of parameters
-    that are not fitted align: "release" or "first-impact"; simulations, fine: simulated portions of
-    the moments and of the increments bootstrap: number of refits for the intervals, 0 for the local
-    estimate only; seed: of all random numbers progress: called with (name of the stage, done, of)
-    while it works; force: fit traces, too, that cannot be meant as they were read. Runs in double
-    precision whatever the global flag says. Raises `BadInput`.
+    start: dict of start values, any subset (the others from the traces)
+    fixed: dict of parameters that are not fitted
+    align: "release" or "first-impact"
+    simulations, fine: simulated portions of the moments and of the increments
+    bootstrap: number of refits for the intervals, 0 for the local estimate only
+    seed: of all random numbers
+    progress: called with (name of the stage, done, total) while it works
+    force: also fit traces that are not plausible as they were read
+
+    Runs in double precision regardless of the global flag. Raises `BadInput`.
     """
     targets = list(traces)
     seed = checked_seed(seed)

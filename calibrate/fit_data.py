@@ -92,12 +92,12 @@ def measure_summaries(
 
 
 def whitening(columns: np.ndarray) -> np.ndarray:
-    """[lags, lags] makes of the log increments [K, lags] of the traces uncorrelated columns of
+    """[lags, lags] matrix that makes the log increments [K, lags] of the traces uncorrelated, with
     standard deviation 1.
 
-    Traces scatter by the interference of their pulses, at all lags alike; what tells of the length
-    of a pulse is how the lags differ. The correlation is shrunk towards none by 2/K, so that few
-    traces are not taken at their word.
+    Traces scatter by the interference of their pulses, at all lags alike; the differences between
+    lags contain the length of a pulse. The correlation is shrunk towards none by 2/K, as that of
+    few traces is uncertain.
     """
     count, lags = columns.shape
     if count < 4:

@@ -41,7 +41,8 @@ def simulated_targets(
     landings: Landings | None = None,
 ) -> list[Target]:
     """`count` traces of the model with the compositions and sample times of `targets` in turn.
-    landings: of the extended model.
+
+    landings: additions of the extended model.
     """
     out = []
     keys = jax.random.split(jax.random.key(seed), count)
@@ -81,9 +82,11 @@ def p_values(
     seed: int,
     sets: int = SETS,
 ) -> dict[str, float]:
-    """name -> p-value, small where the traces differ from what the model makes. The blocks'
-    minimised distances against those of the bootstrap refits (left out without them), the unfitted
-    checks against synthetic data sets. "all": the least, times their number.
+    """name -> p-value, small where the traces differ from portions of the model.
+
+    The blocks' minimised distances are compared with those of the bootstrap refits (left out
+    without them), the unfitted checks with synthetic data sets. "all": the least p-value, times
+    their number.
     """
     result: dict[str, float] = {}
     if refits is not None:
@@ -146,8 +149,8 @@ def rmse_g(theta: ModelParameters, targets: list[Target], align: str, seed: int)
 
 
 def statements(p: dict[str, float], refits: int) -> list[str]:
-    """In words: does the model describe the traces? refits: number of the bootstrap, which limits
-    what blocks can say
+    """Whether the model describes the traces, in words. refits: number of the bootstrap, which
+    limits the least p-value of a block.
     """
     lines = _limits(p, refits)
     if p["all"] >= ALARM:

@@ -1,5 +1,5 @@
-"""Whether a fitted model is contradicted by the traces, in what, by how much, and what to do next:
-in plain words.
+"""Whether the traces contradict a fitted model, in which quantities and by how much, and the next
+steps, in plain words.
 """
 
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ WIDE = 0.25  # half of an interval over the value, from which on more drops are 
 class Comparison:
     """A number of the data beside that of the model.
 
-    data, model: 5 %, 50 % and 95 % quantiles, in `unit`; p: of both being of one distribution
-    (Kolmogorov and Smirnov)
+    data, model: 5 %, 50 % and 95 % quantiles, in `unit`; p: p-value of the hypothesis that both
+    have one distribution (Kolmogorov and Smirnov)
     """
 
     name: str
@@ -37,9 +37,10 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Judgement:
-    """verdict: one sentence; reasons: in what the model differs, and by how much.
+    """Judgement of a fitted model.
 
-    advice: what to do next; comparisons: all numbers that were compared.
+    verdict: one sentence; reasons: the differences of the model, with numbers; advice: the next
+    steps; comparisons: all numbers that were compared.
     """
 
     verdict: str
@@ -54,7 +55,7 @@ class Judgement:
 
 
 def judge(fitted: FittedModel, data: Curves, model: Curves) -> Judgement:
-    """What to think of a fitted model, by traces (`data`) and portions that it made (`model`)."""
+    """Judge a fitted model by traces (`data`) and simulated portions of the model (`model`)."""
     of_data, of_model = measure_curves(data), measure_curves(model)
     rows = [_compare(name, of_data[name], of_model[name]) for name in of_data if name in of_model]
     found = Judgement(_verdict(fitted, len(data.force)), [], [], rows)
@@ -83,7 +84,7 @@ def _verdict(fitted: FittedModel, drops: int) -> str:
 
 
 def _reasons(fitted: FittedModel, found: Judgement) -> list[str]:
-    """In what the model differs from the drops, and by how much."""
+    """Quantities in which the model differs from the drops, and by how much."""
     lines = []
     tests = [words for words, p in fitted.p_values.items() if p * len(fitted.p_values) < ALARM]
     if tests:
@@ -123,7 +124,7 @@ def number(value: float) -> str:
 
 
 def _advice(fitted: FittedModel, found: Judgement, drops: int) -> list[str]:
-    """What to do next."""
+    """Advice on the next steps."""
     lines = list(fitted.absurd)
     differing = {row.name for row in found.differing}
     if fitted.is_rejected and fitted.name == "paper":

@@ -14,10 +14,10 @@ SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": ""}
 
 @dataclass(frozen=True)
 class Segment:
-    """The one segment of a file: its lines, without headers but for the names of the columns.
+    """The one segment of a file: its lines, with only the names of the columns as header.
 
-    separator, decimal: as the file says; sample: (s) between rows where there is no column of
-    times; units: of the channels
+    separator, decimal: from the file; sample: (s) between rows where there is no column of times;
+    units: of the channels
     """
 
     lines: list[Line]

@@ -60,13 +60,17 @@ NO_INTERVALS = f"no intervals were asked for: {LEAST_REFITS} refits or more (--b
 
 @dataclass(frozen=True)
 class LandingFit:
-    """What a fit of the extended model found. All SI.
+    """Result of a fit of the extended model. All SI.
 
-    model: name of the chosen one of paper, pulses, landings, full; parameters: name -> {"value",
-    "low", "high", "sd", "free"} of it, low and high of the 90 % interval; impacts: of each landing
-    judgements: model -> {"distance", "p", "cell_distance", "cell_p", "passed", "of", "worst"}: of
-    traces that were not fitted, in all and in what a load cell shows; "traces": the fitted traces
-    in the place of a model's statements: in words; paper: the fit of the paper's model
+    model: name of the chosen one of paper, pulses, landings, full
+    parameters: name -> {"value", "low", "high", "sd", "free"} of it, low and high of the 90 %
+    interval
+    impacts: number of impacts in each landing
+    judgements: model -> {"distance", "p", "cell_distance", "cell_p", "passed", "of", "worst"} from
+    traces that were not fitted, in all summaries and in those of a load cell; "traces": the fitted
+    traces in the place of a model's
+    statements: in words
+    paper: the fit of the paper's model
     """
 
     model: str
@@ -128,14 +132,20 @@ def fit_landings(
 
     Args:
         traces: list of `Target`, at least LEAST_TRACES, every third of which is kept for the
-        judgement. start: start values of any parameters; the others from the fit of the paper's
-        model and the stock scene. models: names of MODELS that are tried, the smallest first.
-        align: of the paper's fit. simulations: simulated portions of a step. bootstrap: number of
-        refits for the intervals, at least LEAST_REFITS, or 0 for none. Each takes a quarter of the
-        fit. seed: of all random numbers. progress: called with (name of the stage, done, of).
-        force: fit traces, too, that cannot be meant as they were read.
+        judgement.
+        start: start values of any parameters; the others from the fit of the paper's model and the
+        stock scene.
+        models: names of MODELS that are tried, the smallest first.
+        align: of the paper's fit.
+        simulations: simulated portions of a step.
+        bootstrap: number of refits for the intervals, at least LEAST_REFITS, or 0 for none. Each
+        takes a quarter of the fit.
+        seed: of all random numbers.
+        progress: called with (name of the stage, done, total).
+        force: also fit traces that are not plausible as they were read.
 
-    Raises: `BadInput`.
+    Raises:
+        BadInput: one line.
     """
     targets = list(traces)
     if len(targets) < LEAST_TRACES:
@@ -334,7 +344,7 @@ def statements(
     judgements: dict[str, SampleComparison],
     reference: SampleComparison,
 ) -> list[str]:
-    """In words: which model describes the traces, and in what the others differ."""
+    """The model that describes the traces, and the differences of the others, in words."""
     lines = [
         f"model {name}: {'not rejected' if j.joint.p >= ALARM else 'rejected'} by the traces kept out (p = {j.joint.p:.2g}, energy "
         f"distance {j.joint.distance:.3g}; load cell p = {j.cell.p:.2g}; {j.passed} of {len(j.single)} single comparisons pass)"

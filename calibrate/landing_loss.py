@@ -94,7 +94,7 @@ loss_alone = jax.jit(loss, static_argnames=("free", "frame", "gravity"))
 def minimize_landing_loss(
     u: Values, arguments: tuple[Any, ...], steps: int, rate: float, tell: Callable[[], object]
 ) -> tuple[float, Values]:
-    """Least loss found by Adam from `u`, and where. arguments: of `loss` after u."""
+    """Least loss found by Adam from `u`, and its coordinates. arguments: of `loss` after u."""
     path = _step_down(u, lambda _: arguments, steps, rate, 0.8, tell)
     found = [(float(value), at) for value, at, _ in path]
     return min(
@@ -113,7 +113,8 @@ def minimize_with_fresh_draws(
     """Where Adam ends from `u` if each step has other random numbers: the mean of the last steps.
 
     A fit with common random numbers adapts to these few portions: other portions of the same
-    parameters are further from the traces (`descend` finds the valley, and is what a refit needs).
+    parameters are further from the traces (`minimize_landing_loss` finds the valley, which is
+    enough for a refit).
 
     Args:
         u: coordinates.
@@ -136,8 +137,8 @@ def _step_down(
     memory: float,
     tell: Callable[[], object],
 ) -> Iterator[tuple[jax.Array, Values, Values]]:
-    """Loss of each step of Adam, where it is, and where the step leads. arguments: of `loss` after
-    u, by the number of the step.
+    """Loss of each step of Adam, its coordinates, and those after the step. arguments: of `loss`
+    after u, by the number of the step.
     """
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=memory, b2=0.98)
     state = optimiser.init(u)

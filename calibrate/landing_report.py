@@ -12,8 +12,8 @@ LENGTHS = ("gamma_low", "gamma_high", "h_mean")
 
 
 def report_landings(result: "LandingFit") -> str:
-    """Parameters with 90 % intervals, the judgement of each model by traces kept out, and what
-    differs.
+    """Report of a fit: parameters with 90 % intervals, the judgement of each model by traces kept
+    out, and the differences.
     """
     units = (
         {"dt_impact": "s"} | dict.fromkeys(LENGTHS, "m") | {row.name: row.unit for row in ADDITIONS}

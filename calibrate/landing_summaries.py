@@ -1,9 +1,9 @@
-"""What the extended model is compared with traces by: some forty numbers of each trace,
+"""Summaries that compare the extended model with traces: some forty numbers of each trace,
 differentiable where they can be.
 
-All of the force over the mass of the portion (m/s2), from its first impact on: the momentum at
-twelve moments, peaks of running means, mean squared increments early and late, the spectrum in four
-bands, and what a load cell of 40 Hz would show.
+All are those of the force over the mass of the portion (m/s2), from its first impact on: the
+momentum at twelve moments, peaks of running means, mean squared increments early and late, the
+spectrum in four bands, and the reading of a load cell of 40 Hz.
 """
 
 import math

@@ -40,15 +40,18 @@ class RandomDraws:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class MeasuredSummaries:
-    """Summaries of the K measured traces and what is needed to simulate comparable ones.
+    """Summaries of the K measured traces, and the data to simulate comparable ones.
 
     height, spread: [K] (m); increments: [K, lags]
     scale: [2 + lags] standard deviations of height (m), of spread squared (m2) and of the
-    increments, which make blocks comparable whiten: [lags, lags] what makes of the increments
-    uncorrelated columns of standard deviation 1 end: [] (s) end of the traces after the release;
-    gravity: [] (m/s2); floor: [] (m) least spread that is told from none grid: static, fine grid of
-    the increments; lags: static (bins) from_momentum: static; True: time counts from the release
-    that the balance of momentum tells, not from that of the file
+    increments, which make blocks comparable
+    whiten: [lags, lags] matrix that makes the increments uncorrelated with standard deviation 1
+    end: [] (s) end of the traces after the release
+    gravity: [] (m/s2)
+    floor: [] (m) least spread that differs from none
+    grid: static, fine grid of the increments; lags: static (bins)
+    from_momentum: static; True: time counts from the release that follows from the balance of
+    momentum, not from that of the file
     """
 
     height: jax.Array
@@ -69,9 +72,11 @@ class MeasuredSummaries:
         return jnp.diag(1.0 / self.scale[2:])
 
     def columns(self, height: jax.Array, spread: jax.Array, increments: jax.Array) -> jax.Array:
-        """[..., 2 + lags] what the distances compare, in units of its standard deviation: height,
-        spread squared (to which the few widest portions, which alone tell of gamma_high, contribute
-        more than to spread), increments.
+        """[..., 2 + lags] columns that the distances compare, in units of their standard
+        deviations: height, spread squared, increments.
+
+        The few widest portions, which alone determine gamma_high, contribute more to spread squared
+        than to spread.
         """
         moments = jnp.stack([height / self.scale[0], spread**2 / self.scale[1]], axis=-1)
         return jnp.concatenate([moments, increments @ self.whiten], axis=-1)

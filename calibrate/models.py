@@ -23,8 +23,9 @@ Tell = Callable[[str, int, int], object]  # of progress: name of the stage, done
 
 
 class ParameterRow(NamedTuple):
-    """A parameter of a fit. symbol and words: as people write it; unit: of value, low and high;
-    free: whether it was fitted.
+    """A parameter of a fit.
+
+    symbol and words: for display; unit: of value, low and high; free: whether it was fitted.
     """
 
     name: str
@@ -41,10 +42,14 @@ class ParameterRow(NamedTuple):
 class FittedModel:
     """A model with its parameters.
 
-    name: of MODELS; title: in words; rows: parameters with 90 % intervals; p: p-value of the test
-    of the whole, p_values: of its parts, in words; statements: what the fit says of itself; absurd:
-    parameters that cannot be meant simulate: (number of portions, seed) -> forces at the times of
-    the traces that were fitted; content: what fit.json holds
+    name: of MODELS
+    title: in words
+    rows: parameters with 90 % intervals
+    p: p-value of the test of the whole; p_values: of its parts, by their words
+    statements: conclusions of the fit
+    absurd: parameters that are not plausible, in words
+    simulate: (number of portions, seed) -> forces at the times of the traces that were fitted
+    content: the content of fit.json
     """
 
     name: str

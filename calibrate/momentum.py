@@ -89,8 +89,8 @@ def pooled_mean(values: np.ndarray, reach: int) -> np.ndarray:
 
 
 class _Pass(NamedTuple):
-    """Of each sample: mean [K, 4] and covariance before it, rows [K, 5, 4], gain [K, 4], innovation
-    over its variance [K]."""
+    """Quantities of the forward pass at each sample: mean [K, 4] and covariance before it, rows [K,
+    5, 4], gain [K, 4], innovation over its variance [K]."""
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -144,7 +144,7 @@ def _forward(
     scatter: float,
     landed: float,
 ) -> tuple[_Pass, np.ndarray, np.ndarray]:
-    """A sample of the smoother's forward pass: what the backward pass needs of it, mean and
+    """One sample of the smoother's forward pass: its quantities for the backward pass, and mean and
     covariance after it."""
     count, h = len(sample), empty.interval
     share = empty.mass / (empty.mass + weights * landed)

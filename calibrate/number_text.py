@@ -151,8 +151,10 @@ def _parts(cell: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What the cells of one column say of one sign. `likely`: it groups thousands unless other
-    columns prove otherwise; `doubtful`: a cell that can be read both ways.
+    """Evidence of the cells of one column for one sign.
+
+    `likely`: it groups thousands unless other columns prove otherwise; `doubtful`: a cell that can
+    be read both ways.
     """
 
     decimal: bool = False
@@ -162,12 +164,12 @@ class _Evidence:
 
 
 def _evidence(cells: Sequence[str], sign: str) -> _Evidence:
-    """A sign is decimal where what follows is no group of three, or what stands before no beginning
-    of groups.
+    """Decide from cells whether a sign is decimal or groups thousands.
 
-    A column in which some cells have no sign and all others have three digits behind it is one of
-    thousands if any of those ends in 0: who leaves out ",000" leaves out that zero too. Without any
-    such zero it is doubtful.
+    It is decimal if the digits after it are no group of three, or those before it cannot begin
+    groups. A column in which some cells have no sign and all others have three digits behind it is
+    one of thousands if any of those ends in 0: a program that omits ",000" omits that zero too.
+    Without any such zero it is doubtful.
     """
     other = "," if sign == "." else "."
     mantissas = [_parts(cell)[0].lstrip("+-") for cell in cells]

@@ -60,7 +60,7 @@ class OverallProgress:
         self._draw()
 
     def tell(self, words: str, share: float) -> None:
-        """Of the present stage this share is done; words: what is being done."""
+        """Report progress: the finished share of the present stage. words: its description."""
         self._words, self._share = words, min(max(share, 0.0), 1.0)
         self._draw()
 

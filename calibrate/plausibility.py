@@ -1,10 +1,10 @@
 """Whether traces can be those of portions that fall and land, and whether the parameters of a fit
-can be meant.
+are plausible.
 
-Traces in other units than was thought fit the Product Model as well as any: a force ten times too
-small is that of ten times as light pieces, and time in milliseconds read as seconds that of a fall
-from some kilometres. What tells it is what a person knows beside: the weight of the pieces, and
-that they fall for centimetres to metres.
+Traces in wrong units fit the Product Model as well as any: a force ten times too small is that of
+ten times as light pieces, and time in milliseconds read as seconds that of a fall from some
+kilometres. Only other knowledge shows the error: the weight of the pieces, and that they fall for
+centimetres to metres.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -42,11 +42,11 @@ UNITS = {  # ratio of what is read to what is meant: why
 def find_impossible(
     targets: Sequence[Target], measured: MeasuredSummaries | None = None
 ) -> list[str]:
-    """Why the traces cannot be meant as they were read; empty where they can.
+    """Reasons why the traces are not plausible as they were read; empty if they are.
 
     Args:
         targets: the traces.
-        measured: their summaries, from which their mean drop height is told.
+        measured: their summaries, from which the mean drop height follows.
 
     Returns:
         A line for each reason, the one that explains most first.
@@ -167,7 +167,7 @@ def release_shift(targets: Sequence[Target]) -> tuple[float, float]:
 
 
 def _unit_hint(targets: Sequence[Target], kind: str) -> str:
-    """What to do about a unit that the header does not tell."""
+    """Advice on a unit that is missing in the header."""
     if not any(kind in t.assumed for t in targets):
         return ""
     return f"; no unit of {kind} is told, it was taken as {'s' if kind == 'time' else 'N'}: give --{kind}-unit"
@@ -185,7 +185,8 @@ def format_length(metres: float) -> str:
 
 
 def find_doubtful(targets: Sequence[Target], align: str = "release") -> list[str]:
-    """What of the traces makes a fit doubtful without making it impossible: a line for each."""
+    """Properties of the traces that make a fit doubtful without making it impossible: a line for
+    each."""
     lines = []
     end = float(np.median([t.end / t.weight for t in targets]))
     spread = np.array([t.end / t.weight for t in targets])

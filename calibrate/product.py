@@ -41,7 +41,7 @@ SEED_OF_PORTIONS = 9_000_011  # added to the seed of a fit
 
 @dataclass(frozen=True)
 class ProductRequest:
-    """What `calibrate product` is asked for.
+    """Arguments of `calibrate product`.
 
     product: a name of the library, or a TOML file of a product or of a scene; bucket: a name, a
     TOML or an STL file; target: (kg) weight of a portion; scene: that the product is dropped in;
@@ -62,7 +62,7 @@ class ProductRequest:
 
     @property
     def name(self) -> str:
-        """Of the product."""
+        """Name of the product."""
         return Path(self.product).stem if self.product.endswith(".toml") else self.product
 
 
@@ -84,7 +84,7 @@ class ProductFiles:
 
 @dataclass(frozen=True)
 class ProductFit:
-    """What was found and written."""
+    """Result of a calibration, and the files written."""
 
     fitted: "FittedModel"
     judgement: "Judgement"
@@ -114,8 +114,8 @@ def calibrate_product(
     """Simulate drops of a product, fit a model, judge it, and write all of it.
 
     Args:
-        request: what is asked for.
-        tell: called with each line that says what is done.
+        request: product, bucket, model and number of drops.
+        tell: called with each line on the progress of the work.
         shown: whether there is a progress bar on stderr.
 
     Returns:
@@ -313,7 +313,7 @@ def portion_masses(scene: "Scene") -> np.ndarray:
 
 
 def describe_drops(request: ProductRequest, scene: "Scene", masses: np.ndarray) -> str:
-    """What is dropped, in one line."""
+    """The portion, its fall and the number of drops, in one line."""
     low, high = f"{1e3 * masses.min():.4g}", f"{1e3 * masses.max():.4g}"
     each = (
         f"{low} g each" if low == high else f"{low} to {high} g, mean {1e3 * masses.mean():.4g} g"
@@ -341,8 +341,8 @@ def _check_ensemble(files: ProductFiles, scene: "Scene", request: ProductRequest
 
 
 def find_difference(path: Path, scene: "Scene", request: ProductRequest) -> str | None:
-    """In what the ensemble of a file differs from the one asked for, in words; None: it is the
-    same.
+    """The first difference between the ensemble of a file and the requested one, in words; None:
+    there is none.
     """
     import h5py
 
@@ -386,7 +386,9 @@ def _short(item: Any) -> str:
 def simulate_drops(
     files: ProductFiles, scene: "Scene", request: ProductRequest, progress: OverallProgress
 ) -> list[str]:
-    """Make the ensemble of a file, or complete the one that is there; lines that say what was done.
+    """Make the ensemble of a file, or complete the one that is there; returns lines on the work
+    done.
+
     Raises as `calibrate_product`.
     """
     import dem_jax
@@ -499,7 +501,7 @@ def write_results(files: ProductFiles, report: "Report", request: ProductRequest
 def describe_inputs(
     files: ProductFiles, report: "Report", request: ProductRequest
 ) -> dict[str, Any]:
-    """What fit.json says of where its fit comes from, and the judgement."""
+    """The entries of fit.json on the origin of its fit, and the judgement."""
     found = report.judgement
     return {
         "name": request.name,

@@ -146,7 +146,8 @@ def _draw_pair(axes: "Axes", time: np.ndarray, data: np.ndarray, model: np.ndarr
 
 
 def _label(left: "Axes", right: "Axes", **legend: Any) -> None:
-    """Names of axes and panels; legend: of the left panel, where it is."""
+    """Label axes and panels. legend: keyword arguments of the left panel's legend, such as its
+    place."""
     left.set_xlabel("time after the first impact (ms)")
     right.set_xlabel("time after the release (ms)")
     left.set_title(f"the first {1e3 * FIRST:g} ms", fontsize=10)

@@ -54,8 +54,9 @@ footer { margin-top: 1.5rem; font-size: .85rem; }
 
 @dataclass(frozen=True)
 class Report:
-    """What the report says. product: its name; lead: what was dropped; facts: what was simulated,
-    name -> words.
+    """Content of a report.
+
+    product: its name; lead: a line on the drops; facts: name -> words, on the simulation.
     """
 
     product: str

@@ -10,7 +10,7 @@ def ringing_basis(root: complex, time: np.ndarray) -> np.ndarray:
 
 
 def fit_basis(basis: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Factors [m] of a basis [n, m] by least squares, and what they leave of values [n]; of values
+    """Factors [m] of a basis [n, m] by least squares, and the residual of values [n]; for values
     [n, K]: [m, K], [n, K].
     """
     factors = np.linalg.lstsq(basis, values, rcond=None)[0]

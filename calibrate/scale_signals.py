@@ -19,8 +19,10 @@ GRAM = 1e-3 * GRAVITY  # N
 
 @dataclass
 class ScaleSignals:
-    """signals: (g) of each portion with its tare. weights: (g) where they are known. interval: (s)
-    of a sample. cell: of the scene that was simulated. said: how files were understood."""
+    """Signals of a scale.
+
+    signals: (g) of each portion with its tare. weights: (g) where they are known. interval: (s) of
+    a sample. cell: of the scene that was simulated. said: how files were understood."""
 
     signals: list[np.ndarray] = field(default_factory=list)
     weights: list[float] = field(default_factory=list)
@@ -42,8 +44,10 @@ class ScaleSignals:
 
 @dataclass(frozen=True)
 class SignalOptions:
-    """Table: units and signs of tables. rate: readings per second of simulated drops, noise: of
-    their signals (none, typical or a TOML file; None: that of the scene), seed: of it. cell: given
+    """Options for the signals of a scale.
+
+    table: units and signs of tables. rate: readings per second of simulated drops. noise: of their
+    signals (none, typical or a TOML file; None: that of the scene). seed: of the noise. cell: given
     by the user, for drops on a bucket without a load cell."""
 
     table: TableOptions
@@ -66,8 +70,9 @@ def read_signals(paths: Sequence[str], options: SignalOptions) -> ScaleSignals:
 
 
 def add_file(found: ScaleSignals, path: str, options: SignalOptions, number: int = 0) -> None:
-    """Add the signals of a file to those found in others; number: of the file, for the seed of the
-    noise of simulated drops. Raises `BadInput`."""
+    """Add the signals of a file to those found in others.
+
+    number: of the file, for the seed of the noise of simulated drops. Raises `BadInput`."""
     try:
         with open(path, "rb") as file:
             is_simulated = file.read(len(HDF5)) == HDF5

@@ -3,7 +3,7 @@ noise.
 
 Each portion has moments of impact of its own, a release, a tare and a weight; all share frequency,
 damping and mass of the cell and the length of a pulse. They are found by least squares of the
-readings, whitened by what is left; then come h_mean and the limits gamma, by maximum likelihood of
+readings, whitened by the residual; then come h_mean and the limits gamma, by maximum likelihood of
 the drop heights, whose errors are taken into account.
 """
 
@@ -43,14 +43,14 @@ MASS_DOUBT = 2.0  # 1/kg
 
 @dataclass(frozen=True)
 class SignalFit:
-    """What signals tell. All SI.
+    """Result of a fit to signals. All SI.
 
     parameters: name -> {"value", "low", "high", "sd", "local_sd", "free"}, 90 % intervals; cell:
     natural frequency (Hz), damping ratio and mass (kg) of the empty cell; readings: "mean" or
     "point", whichever describes the signals better
-    portions: of each signal its name, pieces, weight, tare, release and first impact (s since the
+    portions: for each signal its name, pieces, weight, tare, release and first impact (s since the
     signal begins), heights and the residual's rms (kg)
-    residual: rms (kg) while portions land and at rest; statements, warnings, absurd: as of
+    residual: rms (kg) while portions land and at rest; statements, warnings, absurd: see
     `calibrate.fit.Fit`
     """
 
@@ -95,13 +95,13 @@ def fit_signals(
         m_piece: (kg) weight of a piece.
         pieces: number of pieces of all portions or of each. Default: the weight over m_piece.
         weights: [K] (kg) of the portions. Default: from the ends of the signals.
-        cell: what is thought of the load cell; the signals decide. Default: a guess from how it
-            rings.
-        progress: called with (name of the stage, done, of).
+        cell: start values of the load cell, which the fit may change. Default: a guess from how it
+        rings.
+        progress: called with (name of the stage, done, total).
 
     Returns:
-        The fit, and the solution that it comes from. Runs in double precision whatever the global
-        flag says.
+        The fit, and the solution that it comes from. Runs in double precision regardless of the
+        global flag.
 
     Raises:
         BadInput: one line.
@@ -247,8 +247,10 @@ def _mend(portions: Portions, readings: Readings, found: Estimate) -> Estimate:
 
 
 def _mass_spread(readings: Readings, found: Estimate) -> float:
-    """Relative standard deviation of the weights of pieces: their estimates and what these leave
-    open, of which a fit is a step of the EM algorithm."""
+    """Relative standard deviation of the weights of pieces, from their estimates and the variances
+    of these.
+
+    A fit with this prior is a step of the EM algorithm."""
     there, s = readings.share > 0, len(SHARED)
     own = curve(readings, found).hessian[:, s:, s:]
     scale = np.sqrt(np.einsum("kii->ki", own))
@@ -273,8 +275,8 @@ def whiten(left: np.ndarray) -> np.ndarray:
 def height_estimates(solved: Solved, now: Curvature) -> list[Heights]:
     """Drop heights of each portion with the covariance of their errors.
 
-    Two pieces that land at once are told by how the signal bends, of second order: that limits how
-    wrong a moment can be where the slopes say that it may have any value.
+    Only the curvature of the signal, an effect of second order, separates two pieces that land at
+    once: it bounds the error of a moment whose slopes vanish.
     """
     found, s = solved.estimate, len(SHARED)
     time, rate = falls(solved.readings, found), found.cell.omega
@@ -293,11 +295,11 @@ def height_estimates(solved: Solved, now: Curvature) -> list[Heights]:
 
 
 def _pulse_row(found: Estimate, now: Curvature) -> dict[str, Any]:
-    """dt_impact with its interval. Its square is what the signals tell, so that the interval of a
-    short pulse may begin at 0.
+    """dt_impact with its interval. Signals determine its square, so that the interval of a short
+    pulse may begin at 0.
 
-    The standard deviation is the larger one of the curvature's and of that by which portions differ
-    (sandwich).
+    The standard deviation is the larger one of that from the curvature and that from the scatter of
+    portions (sandwich).
     """
     s, count = len(SHARED), len(now.cost)
     own, cross = now.hessian[:, s:, s:], now.hessian[:, s:, :s]
@@ -374,8 +376,8 @@ def _portion_row(k: int, solved: Solved, heights: Heights) -> dict[str, Any]:
 
 
 def _residual(solved: Solved) -> dict[str, float]:
-    """rms (kg) of the residual while portions land and at rest, and of what the cell shows beside
-    the weight while they land."""
+    """rms (kg) of the residual while portions land and at rest, and of the reading less the weight
+    while they land."""
     time, found = solved.portions.time, solved.estimate
     there = solved.readings.share > 0
     last = np.where(there, piece_middles(found.local, there.shape[1]), -np.inf).max(axis=1)

@@ -28,7 +28,7 @@ MOST_DIFFERENCE = 0.9  # of the mean weight of pieces: by how much one may diffe
 
 @dataclass(frozen=True)
 class Readings:
-    """Signals of K portions on one grid, and what is known of them beforehand.
+    """Signals of K portions on one grid, and prior knowledge of them.
 
     edges: [T + 1] (s) of the sample intervals, 0 where a signal begins to show the portion; values:
     [K, T] (kg)
@@ -128,7 +128,7 @@ def _simulate_readings(
 
 
 def residuals(readings: Readings, found: Estimate) -> np.ndarray:
-    """[K, T] (kg) what the model leaves of the readings."""
+    """[K, T] (kg) residuals of the readings, less those of the model."""
     shown = _simulate_readings(
         found.shared, found.local, readings.share, readings.edges, np.asarray(found.is_mean)
     )
@@ -143,7 +143,7 @@ def falls(readings: Readings, found: Estimate) -> np.ndarray:
 
 
 def curve(readings: Readings, found: Estimate) -> Curvature:
-    """The normal equations at an estimate, with what is known beforehand."""
+    """The normal equations at an estimate, with the prior knowledge."""
     cost, gradient, hessian = _in_blocks(readings, found)
     known = len(SHARED) + LOCAL.index("weight")
     off = (found.local[:, LOCAL.index("weight")] - readings.weight) / readings.weight_sd
@@ -199,8 +199,8 @@ def solve(
     Args:
         readings: the signals.
         start: where the search begins.
-        keep_shared: whether what portions share stays as it is.
-        steps: most steps.
+        keep_shared: whether the shared parameters stay as they are.
+        steps: largest number of steps.
     """
     found, now = start, curve(readings, start)
     damping = np.full(len(now.cost), FIRST_DAMPING)

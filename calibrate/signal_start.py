@@ -1,12 +1,12 @@
-"""A first guess of what happened in each signal, from the balance of momentum.
+"""First guess of the impacts in each signal, from the balance of momentum.
 
 Pieces begin at rest. Of n equal pieces of which N have landed until t, the impulse until then is
 
     int F dt = (N / n) W (t - release),
 
 whatever the moments at which they landed. The impulse is that of the reading and the momentum of
-the cell, so that N over time, hence each moment of impact, is told by one derivative of the signal.
-At the end N = n, which tells the release.
+the cell, so that N over time, hence each moment of impact, follows from one derivative of the
+signal. At the end N = n, which gives the release.
 """
 
 from typing import NamedTuple
@@ -71,7 +71,9 @@ def momentum_weight(time: np.ndarray, values: np.ndarray, begin: float) -> np.nd
 
 def _free_ringing(time: np.ndarray, values: np.ndarray, begin: float) -> np.ndarray:
     """[K, 4] constant, weight (kg), 1 / omega^2 (s2) of the loaded cell and that times the lag (s)
-    of its damper: its momentum makes up what the integral of the reading lacks of W t."""
+    of its damper.
+
+    The momentum of the cell is the difference between W t and the integral of the reading."""
     inside = slice(int(np.searchsorted(time, begin)), -1)
     rows = []
     for row in values:
@@ -91,8 +93,8 @@ def find_quiet_end(onset: int, interval: float) -> int:
 def find_quiet(time: np.ndarray, values: np.ndarray, cell: CellGuess) -> tuple[int, np.ndarray]:
     """Where signals begin to be a tare and the free ringing of the empty cell, and the tare.
 
-    The flaps of the bucket close shortly before the release, which kicks the cell: only what
-    follows the kick can be used.
+    The flaps of the bucket close shortly before the release, which kicks the cell: only the part
+    after the kick can be used.
 
     Args:
         time: [T] (s) after the first impact, equidistant.
@@ -118,7 +120,7 @@ def find_quiet(time: np.ndarray, values: np.ndarray, cell: CellGuess) -> tuple[i
 
 def _fit_ringing(time: np.ndarray, values: np.ndarray, cell: CellGuess) -> tuple[np.ndarray, float]:
     """Constant [K] of a constant and a free oscillation of the empty cell, and the median rms of
-    what is left."""
+    the residual."""
     root = (-cell.damping_ratio + 1j) * cell.omega
     found, left = fit_basis(ringing_basis(root, time - time[0]), values.T)
     free = max(len(time) - 3, 1)

@@ -1,4 +1,5 @@
-"""What a fit to the signals of a scale can and cannot tell, in words, and what cannot be meant."""
+"""Statements on a fit to the signals of a scale: its conclusions and their limits, and implausible
+values, in words."""
 
 from typing import TYPE_CHECKING
 
@@ -54,7 +55,7 @@ def describe(fit: "SignalFit") -> None:
 
 
 def _doubts(fit: "SignalFit") -> list[str]:
-    """That the model does not describe the signals."""
+    """A statement that the model does not describe the signals; empty if it does."""
     left = fit.residual
     if left["landing"] < ROUGH_FIT * left["rest"]:
         return []

@@ -83,7 +83,7 @@ def _run(args: argparse.Namespace) -> int:
 def _inputs(
     args: argparse.Namespace,
 ) -> "tuple[list[ScaleSignal], np.ndarray | None, CellGuess | None]":
-    """Signals, weights (kg) where they are known, and what is thought of the load cell."""
+    """Signals, weights (kg) where they are known, and start values of the load cell."""
     from calibrate.cell_signals import read_scale_signals
     from calibrate.empty_cell import read_cell
     from calibrate.scale_signals import read_weights

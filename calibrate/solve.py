@@ -4,9 +4,9 @@ over data sets.
 In each round height and spread are fitted first, by Adam (they hardly depend on dt_impact and cost
 O(pieces)), then dt_impact alone to the increments, whose derivatives with respect to the times of
 impact are interference of single pulses: right on average, but so scattered that they would hide
-what the spread says. In one dimension the sign of the slope is enough: the interval about the last
-value is halved until it is narrow. A round reaches as far as the one before it has moved, so that
-rounds become fine as the fit settles, and go on where the valley is flat.
+the information of the spread. In one dimension the sign of the slope is enough: the interval about
+the last value is halved until it is narrow. A round reaches as far as the one before it has moved,
+so that rounds become fine as the fit settles, and go on where the valley is flat.
 
 The rounds take each lag by itself: its distance has one least value in dt_impact, whatever the
 traces are. At the end come the whitened columns, which have several, but scatter half as much about
@@ -49,11 +49,13 @@ SCANNED = 32  # simulated portions of the coarse scan for the first guess
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FitSolution:
-    """Where a fit ended, [] each (leading axes for several starts or data sets).
+    """Result of a fit, [] each (leading axes for several starts or data sets).
 
-    theta: dict of the four parameters (SI); distances: [3] energy distances of the blocks; loss:
-    their sum with each lag by itself, by which starts are compared change: dict of what the last
-    round changed in the ln of each parameter; rounds: how many there were
+    theta: dict of the four parameters (SI)
+    distances: [3] energy distances of the blocks
+    loss: their sum with each lag by itself, by which starts are compared
+    change: dict of the changes of the ln of each parameter in the last round
+    rounds: number of rounds
     """
 
     theta: ModelParameters

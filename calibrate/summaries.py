@@ -1,26 +1,27 @@
-"""What is compared between measured and simulated traces: a few numbers per trace, each of which
-tells of one parameter.
+"""Summaries that are compared between measured and simulated traces: a few numbers per trace, each
+for one parameter.
 
-height      (m)     mean drop height of the pieces, from the momentum they deliver -> h_mean
-spread      (m)     standard deviation of their drop heights, likewise -> gamma_low, gamma_high by
-its distribution increments  [lags]  logarithm of the summed squared increments of the force at
-short lags -> dt_impact
+height (m): mean drop height of the pieces, from the momentum they deliver -> h_mean
+spread (m): standard deviation of their drop heights, from the momentum as well -> gamma_low,
+gamma_high by its distribution
+increments [lags]: logarithm of the summed squared increments of the force at short lags ->
+dt_impact
 
 Height and spread need no look at single pulses. A piece that falls from rest brings the momentum m
 g t and then weighs m g; for pulses short against the fall
 
-    int F dt = M g T,   int F (2 t - T) g/2 dt = sum m g h_i,   int F (4 t^3 - T^3) g^2/12 dt = sum
-    m g h_i^2
+    int F dt = M g T,   int F (2 t - T) g/2 dt = sum m g h_i,
+    int F (4 t^3 - T^3) g^2/12 dt = sum m g h_i^2
 
 (T the end, time from the release). These linear functionals are applied to measured traces as sums
 over samples and to simulated pulses in closed form, O(pieces), with neither grid nor noise. For the
-Product Model they give the sample mean and variance of the drop heights, which are sufficient:
-nothing that the times of impact say of h_mean and the limits is lost.
+Product Model they give the sample mean and variance of the drop heights, which are sufficient: the
+times of impact contain no further information on h_mean and the limits.
 
 T is not the end of the trace but that of the first impacts, when the momentum of the pieces still
-falling is that of less than one and a half of them (of one in fifty, where there are many); what is
-left is taken to land then. Rebounds, sliding and the walls' share of the weight after that, which
-the model knows nothing of, would weigh with T^3.
+falling is that of less than one and a half of them (of one in fifty, where there are many); the
+rest is taken to land then. Later rebounds, sliding and the walls' share of the weight, which are
+outside the model, would weigh with T^3.
 """
 
 from collections.abc import Sequence

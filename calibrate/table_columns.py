@@ -27,11 +27,11 @@ KNOWN = "N, mN, kN, kg, g (forces), s, ms, us, min (times)"
 
 @dataclass(frozen=True)
 class TableOptions:
-    """What a person tells of a table that the table itself does not.
+    """Properties of a table that it lacks itself, given by the user.
 
     decimal: "." or ","; time_unit, force_unit: instead of those in the header; sample: (s) between
-    rows, instead of a column of times; unit_by_default: of forces, where neither the header nor
-    force_unit tells one
+    rows, instead of a column of times; unit_by_default: of forces, if neither the header nor
+    force_unit gives one
     """
 
     decimal: str | None = None
@@ -81,7 +81,7 @@ class Field:
 
 @dataclass
 class Roles:
-    """Which column is what."""
+    """Roles of the columns: the numbers of those of times and of forces."""
 
     times: list[int] = field(default_factory=list)
     forces: list[int] = field(default_factory=list)
@@ -270,8 +270,8 @@ def _without_axes(fields: Sequence[Field], columns: list[int]) -> list[int]:
 
 
 def _refuse_untold(path: Path, layout: Layout, column: Field) -> None:
-    """Raises where a unit is told neither by the header nor by what newtons would be: weights, and
-    a unit above.
+    """Raise BadInput if the unit of a column is missing and newtons are not a safe guess: for
+    weights, and below a line that names a unit.
     """
     if column.quantity == "weight":
         raise BadInput(

@@ -1,6 +1,4 @@
-"""The text of a table: its encoding, what separates its cells, which lines are rows and which the
-header.
-"""
+"""The text of a table: its encoding, the separator of its cells, its rows and its header."""
 
 import csv
 import re
@@ -42,8 +40,8 @@ class Line:
 
 @dataclass(frozen=True)
 class TableHeader:
-    """Names and units of the columns as written, "" where nothing is; line: of the first of both,
-    None without.
+    """Names and units of the columns as written, "" where there is none; line: number of the first
+    line of both, None without.
     """
 
     names: list[str]
@@ -55,7 +53,7 @@ class TableHeader:
 class Layout:
     """How the lines of a table are read.
 
-    separator: "" for spaces; rows: [R][C] tidy cells; numbers: [R] their lines; header: of C
+    separator: "" for spaces; rows: [R][C] tidy cells; numbers: [R] their lines; header: for C
     columns; preamble: the lines before it; before: their number, with blank ones
     """
 

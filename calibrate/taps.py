@@ -17,9 +17,10 @@ QUIET_MARGIN = 0.01  # s before a tap that do not count as quiet
 
 
 class Oscillation(NamedTuple):
-    """The signal after a tap. name: of the signal and the tap. load: (kg) in the bucket. values:
-    (g) from the tap on, at the rate of the signal. quiet: (g) before the tap, where it is the
-    first; may be empty.
+    """The signal after a tap.
+
+    name: of the signal and the tap. load: (kg) in the bucket. values: (g) from the tap on, at the
+    rate of the signal. quiet: (g) before the tap, where it is the first; may be empty.
     """
 
     name: str

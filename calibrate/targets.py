@@ -131,15 +131,18 @@ def read(
 
     Args:
         path: an HDF5 file with a run, or an ensemble with a leading run axis, in the layout of the
-        discrete element runs;
-            or a table of any program as text, or a LabVIEW measurement (`csv_table`).
-        m_piece: (kg) of one piece. Default: from the file, which a table does not tell; the mean
-        where pieces differ. pieces: number of pieces of all traces, or of each. Default: from the
-        file, which a table does not tell. group: wall group of an HDF5 file whose mean force is
-        read. Default: wb_flaps, or the only one there is. tell: called with one line that says how
-        a table was understood, or by how much the pieces of a file differ in weight. table: what a
-        table does not tell itself, as its units. tare: whether the mean force before the first
-        impact is subtracted from each trace.
+        discrete element runs; or a table of any program as text, or a LabVIEW measurement
+        (`csv_table`).
+        m_piece: (kg) of one piece. Default: from the file, but tables have none; the mean where
+        pieces differ.
+        pieces: number of pieces of all traces, or of each. Default: from the file, but tables have
+        none.
+        group: wall group of an HDF5 file whose mean force is read. Default: wb_flaps, or the only
+        one there is.
+        tell: called with one line on how a table was understood, or by how much the pieces of a
+        file differ in weight.
+        table: properties that a table lacks itself, such as its units.
+        tare: whether the mean force before the first impact is subtracted from each trace.
 
     Returns:
         A `Target` for each trace.
@@ -246,8 +249,8 @@ def _read_hdf5(
 
 
 def _stored_counts(attrs: Mapping[str, Any], count: int | None) -> Any:
-    """The number of pieces of all runs, or a list of that of each, as the file has it; count: of
-    those whose poses it has.
+    """The number of pieces of all runs, or a list with that of each, from the file. count: number
+    of pieces with poses.
     """
     try:
         counts = json.loads(str(attrs.get("info", "{}"))).get("piece_counts")

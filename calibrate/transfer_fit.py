@@ -81,8 +81,8 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class Lesson:
-    """An ensemble as the loss needs it. row: by which the coefficients are multiplied; fall_time:
-    of `Ensemble`.
+    """An ensemble as the loss needs it. row: factors of the coefficients; fall_time: see
+    `Ensemble`.
     """
 
     name: str
@@ -163,7 +163,8 @@ def learn_lost_time(
     """Coefficients of the logarithm of the lost time over the opening time by ridge regression, and
     their error.
 
-    The error is the standard deviation of what each ensemble differs from a regression without it.
+    The error is the standard deviation of the differences of each ensemble from a regression
+    without it.
     """
     rows = np.array([table.row(each.drop, table.lost_terms) for each in ensembles])
     found = np.log([each.lost_time() / each.drop.opening_time for each in ensembles])
@@ -235,9 +236,9 @@ def learn_transfer(
         ensembles: drops of products and scenes that fill the space of conditions.
         version: of the table.
         portions: simulated portions of each ensemble in a step.
-        epochs: of the fit to all, and of those that leave a group out, which begin anew.
+        epochs: number in the fit to all, and in those that leave a group out, which begin anew.
         groups: number of these (jackknife).
-        tell: called with what is fitted, the epoch and the mean loss.
+        tell: called with the name of the fit, the epoch and the mean loss.
 
     Raises:
         BadInput: no ensemble is long enough.

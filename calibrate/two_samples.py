@@ -49,9 +49,10 @@ def compare(
 class SampleComparison:
     """Two samples compared in all summaries jointly and in each.
 
-    joint: of all; cell: of what a load cell shows; single: name -> of one
-    shift: name -> difference of the means (second less first) in standard deviations of
-    the first; spread: name -> ratio of the standard deviations
+    joint: difference in all summaries; cell: in those of a load cell; single: name -> difference in
+    one
+    shift: name -> difference of the means (second less first) in standard deviations of the first
+    spread: name -> ratio of the standard deviations
     """
 
     joint: Difference

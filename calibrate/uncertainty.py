@@ -1,5 +1,5 @@
-"""How sure a fit is: a parametric bootstrap of refits, a fast local estimate, and what the data
-cannot tell, in words.
+"""Uncertainty of a fit: a parametric bootstrap of refits, a fast local estimate, and the limits of
+the data, in words.
 """
 
 import os
@@ -273,7 +273,8 @@ def without_spread(measured: MeasuredSummaries) -> list[str]:
 
 
 def statements(result: "Fit", targets: list[Target]) -> list[str]:
-    """What the data can and cannot tell, in words and numbers."""
+    """Statements on the accuracy of each parameter and the limits of the data, in words and
+    numbers."""
     lines = []
     count, pieces = len(targets), float(np.mean([t.pieces for t in targets]))
     for name in result.free:

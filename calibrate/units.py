@@ -80,7 +80,7 @@ class Unit:
 
     @property
     def newtons(self) -> float:
-        """What one unit is in N; of a mass its weight."""
+        """Value of one unit in N; for a unit of mass its weight."""
         return self.factor * (GRAVITY if self.kind == "mass" else 1.0)
 
 
@@ -117,8 +117,8 @@ def is_bare_unit(cell: str) -> bool:
 def unit_in_name(name: str) -> Unit:
     """The unit in a name such as "Force [kN]", "time_s", "F/N", "Time, s" or "t in ms".
 
-    What stands in brackets, behind a slash or behind "in" is a unit, known or not; a last word only
-    where it is a known one.
+    Text in brackets, behind a slash or behind "in" is a unit, known or not; a last word only where
+    it is a known one.
     """
     inside = [
         unit_named(text) for text in re.findall(r"[\[({<]\s*([^\[\](){}<>]+?)\s*[\])}>]", name)
@@ -140,7 +140,8 @@ def unit_in_name(name: str) -> Unit:
 
 
 def quantity_named(name: str) -> str:
-    """What a name says of its column: "time", "index", "force", "weight", "other" or "" (nothing)."""
+    """Quantity of a column by its name: "time", "index", "force", "weight", "other" or ""
+    (unknown)."""
     plain = re.sub(r"[\[({<].*?[\])}>]", " ", name).strip().lower()
     words = [word for word in re.split(r"[\s_/,;:=-]+", plain) if word]
     joined = {plain, *words, *(re.sub(r"\d+$", "", word) for word in words)}

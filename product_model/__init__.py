@@ -1,8 +1,8 @@
 """The Product Model: impact-force curves of portions of piece goods in real time (Profe, Kostetzer
 and Ament, SIMULTECH 2023).
 
-`simulate` makes one portion, `ensemble` many, `stream` a sample at a time; `read_fit` takes what a
-calibration found.
+`simulate` makes one portion, `ensemble` many, `stream` a sample at a time; `read_fit` reads the
+result of a calibration.
 """
 
 from product_model.program import begin_program

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line and leaves with code 2."""
+    """Parser that reports an error in one line and exits with code 2."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
@@ -122,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_inputs(parser: argparse.ArgumentParser, forms: Sequence[str]) -> None:
-    """The flags of all inputs; what is not given is None."""
+    """Add the flags of all inputs; the value of a flag that is not given is None."""
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
         "--fit",
@@ -189,7 +189,7 @@ def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
 def _predict(args: argparse.Namespace) -> tuple["Fitted", dict[str, Any]]:
     """The predicted model of a product, and the inputs that follow from its scene.
 
-    How sure it is, and what it leaves out, are printed on the standard error.
+    Prints the uncertainty of the prediction and the effects that it neglects on standard error.
     """
     from dem_jax.errors import SceneError
     from dem_jax.scene import parse_setting

@@ -24,7 +24,7 @@ def product_conditions(
     pieces: int | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> tuple[DropConditions, list[str]]:
-    """The conditions of a portion of a product in the stock scene, and what they leave out, in
+    """The conditions of a portion of a product in the stock scene, and the effects they neglect, in
     words.
 
     Args:
@@ -87,7 +87,8 @@ def scene_conditions(scene: "Scene") -> tuple[DropConditions, list[str]]:
 
 
 def _left_out(scene: "Scene", rows: np.ndarray) -> list[str]:
-    """What the conditions do not say of a scene."""
+    """The effects in a scene that its conditions neglect, in words. rows: [pieces] numbers of their
+    materials."""
     said = []
     if scene.contact.law != LAW:
         said.append(f"contact.law = {scene.contact.law}: learnt with {LAW}")

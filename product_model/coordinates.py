@@ -42,7 +42,7 @@ def to_coordinates(values: Values) -> Values:
 
 
 def to_parameter(name: str, u: Any) -> Any:
-    """The value of one parameter at a coordinate; of gamma_high its distance from gamma_low."""
+    """The value of one parameter at a coordinate; for gamma_high its distance from gamma_low."""
     if name == "pulse_exponent":
         return jnp.clip(u, 0.0, LONGEST_EXPONENT)
     return u if name in LINEAR else jax.nn.sigmoid(u) if name in SHARES else jnp.exp(u)

@@ -2,4 +2,4 @@
 
 
 class BadInput(ValueError):
-    """One clear line that names what is wrong, its value and what is allowed."""
+    """Bad input: one clear line with its name, its value and the allowed values."""

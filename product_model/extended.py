@@ -208,9 +208,10 @@ def landings(**values: Any) -> Landings:
 class LandingNumbers:
     """Random numbers of a portion, given so that a fit can keep them while the parameters move.
 
-    release: [pieces] normal; rebound, slump: [landings - 1, pieces] exponential of mean 1
-    share: [impacts - landings, pieces] uniform on (0, 1); delay: of the same shape, exponential of
-    mean 1
+    release: [pieces] normal
+    rebound, slump: [landings - 1, pieces] exponential of mean 1
+    share: [impacts - landings, pieces] uniform on (0, 1)
+    delay: [impacts - landings, pieces] exponential of mean 1
     """
 
     release: jax.Array
@@ -249,14 +250,16 @@ def _exponential(v: jax.Array) -> jax.Array:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LandingPulses:
-    """What the pieces of a portion do to the weigh bucket: impact pulses, and their weight in two
+    """Forces of the pieces of a portion on the weigh bucket: impact pulses, and their weight in two
     steps each.
 
-    start:       [impacts pieces] (s)  beginning of each pulse; first those of the first touch of
-    each piece duration:    [impacts pieces] (s) force:       [impacts pieces] (N)  mean force of
-    each pulse step_time:   [2 pieces] (s)        moments at which weight comes to rest on the flaps
-    weight:      [2 pieces] (N)        that weight shape:       static                of the pulses,
-    one of SHAPES
+    start: [impacts pieces] (s) beginning of each pulse; first those of the first touch of each
+    piece
+    duration: [impacts pieces] (s)
+    force: [impacts pieces] (N) mean force of each pulse
+    step_time: [2 pieces] (s) moments at which weight comes to rest on the flaps
+    weight: [2 pieces] (N) that weight
+    shape: static, shape of the pulses, one of SHAPES
     """
 
     start: jax.Array
@@ -312,8 +315,10 @@ def release_times(extended: Landings, normal: jax.Array) -> tuple[jax.Array, jax
 
 
 def break_stick(share_exponent: Numbers, uniform: jax.Array) -> jax.Array:
-    """Shares [impacts, ...] that add up to 1, from numbers on (0, 1) [impacts - 1, ...]: each takes
-    1 - u^p of what is left.
+    """Break a stick: shares [impacts, ...] that add up to 1, from numbers on (0, 1) [impacts - 1,
+    ...].
+
+    Each share takes 1 - u^p of the rest.
     """
     whole = jnp.ones((1, *uniform.shape[1:]), uniform.dtype)
     left = jnp.cumprod(jnp.concatenate([whole, uniform**share_exponent]), axis=0)

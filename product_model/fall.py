@@ -1,8 +1,8 @@
 """The random fall of a portion, eqs 18-22, as differentiable functions of given random numbers.
 
 The random numbers go in as arguments, so that a fit can keep them fixed while the parameters move
-(common random numbers): the derivatives of what comes out are then pathwise derivatives, exact
-almost everywhere.
+(common random numbers): the derivatives of the results are then pathwise derivatives, exact almost
+everywhere.
 """
 
 import math

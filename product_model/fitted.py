@@ -17,11 +17,12 @@ NINETY = 1.6448536269514722  # half of a 90 % interval in standard deviations of
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit says. value, low, high: by name of FITTED, and of the additions of the extended
-    model if that was fitted, SI; low and high of the 90 % intervals.
+    """Parameters of a fit, in SI units.
 
-    m_piece (kg), pieces: of the portions that were fitted, None where they differ or the file does
-    not say. landings: the additions of the extended model, None: the fit is one of the paper's.
+    value, low, high: by name of FITTED, and of the additions of the extended model if that was
+    fitted; low and high of the 90 % intervals. m_piece (kg), pieces: of the portions that were
+    fitted, None where they differ or the file does not give them. landings: the additions of the
+    extended model; None: the fit is one of the paper's model.
     """
 
     value: dict[str, float]

@@ -35,9 +35,9 @@ def write_fmu(
 
     Variables: the leaves of `Parameters`, `pieces` and `seed` (parameters), `release` (input: each
     rising edge lets the next portion fall, the first falls at the start), `force` (N) and `pif_kg`
-    (kg) (outputs: means over the step). What a portion does is `product_model.stream` of the key
-    `seed`, of the n-th after the first `seed + n`. The unit calls the Python that it is run beside,
-    in which product-impact must be installed.
+    (kg) (outputs: means over the step). The force of a portion is that of `product_model.stream`
+    with the key `seed`, for the n-th after the first with `seed + n`. The unit calls the Python
+    installation on its machine, which must contain product-impact.
 
     Raises `BadInput` for inputs out of range, the smooth form, a path that cannot be written, and
     without pythonfmu.

@@ -60,12 +60,16 @@ def write_compiled_fmu(
     Args:
         path: of the unit, ending in .fmu.
         params: parameters that a tool may change before it begins; `sample` is the step that it
-        takes by default. seed: start value of the parameter `seed`. overwrite: replace a file that
-        exists. fmi: "2" or "3".
+        takes by default.
+        seed: start value of the parameter `seed`.
+        overwrite: replace a file that exists.
+        fmi: "2" or "3".
 
-    Returns: the path.
-    Raises: `BadInput` for inputs out of range, a path that cannot be written, and without a C
-    compiler.
+    Returns:
+        The path.
+
+    Raises:
+        BadInput: for inputs out of range, a path that cannot be written, and without a C compiler.
     """
     seed = checked_seed(seed)
     path = check_fmu(path, overwrite)
@@ -82,7 +86,8 @@ def write_compiled_fmu(
 
 
 def require_compiler(path: Path) -> str:
-    """Path of the C compiler. Raises `BadInput` where there is none; path: of the unit."""
+    """Path of the C compiler. path: of the unit, for messages. Raises `BadInput` where there is
+    none."""
     compiler = find_compiler()
     if compiler is None:
         raise BadInput(
@@ -109,12 +114,15 @@ def pack_unit(
         files: name -> text of the sources.
         kind: of the unit.
         variables: of the unit.
-        step: (s) that a tool takes by default.
-        token: as the library has it.
+        step: (s) default step of a tool.
+        token: the token that the library contains.
         fmi: "2" or "3".
 
-    Returns: the path.
-    Raises: `BadInput` where it cannot be compiled or written.
+    Returns:
+        The path.
+
+    Raises:
+        BadInput: where it cannot be compiled or written.
     """
     entries = {f"sources/{name}": text.encode() for name, text in files.items()}
     entries["modelDescription.xml"] = describe_model(fmi, kind, variables, step, token)

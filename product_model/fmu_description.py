@@ -34,8 +34,10 @@ TYPES = {
 
 @dataclass(frozen=True)
 class UnitKind:
-    """What a unit is. identifier: of the model and its library. sources: of each version of the
-    standard, the C files that are compiled."""
+    """Kind of a unit.
+
+    identifier: name of the model and its library. description: in words. sources: for each version
+    of the standard, the C files to compile."""
 
     identifier: str
     description: str

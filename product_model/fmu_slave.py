@@ -1,4 +1,5 @@
-"""What a functional mock-up unit of `product_model.fmu` runs: pythonfmu puts this file into it."""
+"""The Python program of a functional mock-up unit of `product_model.fmu`: pythonfmu copies this
+file into it."""
 
 import atexit
 import ctypes

@@ -180,7 +180,7 @@ class _Checked(BaseModel):
 
 
 def one_line(error: ValidationError) -> str:
-    """The first error of `error` as one line: name = value: what is allowed."""
+    """The first error of `error` as one line: name = value: allowed values."""
     first = error.errors()[0]
     message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     if not first["loc"]:

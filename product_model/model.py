@@ -58,7 +58,7 @@ class Triangles(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Pulses:
-    """What every piece does to the weigh bucket: a pulse of equal length (eq. 17), then its static
+    """Force of every piece on the weigh bucket: a pulse of equal length (eq. 17), then its static
     weight.
 
     start:    [pieces] (s)  moment of impact t_i, eq. 14

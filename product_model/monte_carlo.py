@@ -1,4 +1,4 @@
-"""Monte Carlo: many random portions from one key, and what their forces have in common."""
+"""Monte Carlo: many random portions from one key, and statistics of their forces."""
 
 import math
 import warnings
@@ -172,10 +172,12 @@ def ensemble_blocks(
 
 @dataclass(frozen=True)
 class Peaks:
-    """What a designer asks of each portion, arrays [runs].
+    """Peak and duration of the force of each portion, arrays [runs].
 
-    peak_kg:   (kg) largest PIF;  peak_time: (s) when it occurs after release
-    first:     (s)  first impact;  duration: (s) from the first impact to the end of the last pulse
+    peak_kg: (kg) largest PIF
+    peak_time: (s) its time after the release
+    first: (s) first impact
+    duration: (s) from the first impact to the end of the last pulse
     """
 
     peak_kg: np.ndarray
@@ -206,10 +208,13 @@ def peaks(trace: Trace) -> Peaks:
 
 @dataclass(frozen=True)
 class Summary:
-    """Numbers of all portions.
+    """Summary of all portions.
 
-    pieces: of each portion;  grid: sample times;  peaks: of every portion
-    redrawn: drop heights drawn again because negative;  late: pulses that are not over at the end
+    pieces: number in each portion
+    grid: sample times
+    peaks: of every portion
+    redrawn: number of drop heights drawn again because negative
+    late: number of pulses that are not over at the end
     """
 
     pieces: int

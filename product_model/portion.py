@@ -36,14 +36,14 @@ Leaves = dict[str, Any]  # name -> [] array
 class Trace:
     """The force of one portion, or of several with a leading axis [runs] on every array.
 
-    force:        [T] (N)       total force in the form that was asked for, downward positive
-    pulses:       [pieces]      start (s), duration (s), force (N), weight (N) of every piece's
-    pulse; of the extended model
-                                those of `LandingPulses`
-    height:       [pieces] (m)  drop heights
-    sigma_height: [] (m)        their standard deviation in this portion, eqs 19-22
-    again:        [pieces]      True where the drop height would have been negative and was drawn
-    again gravity:      [] (m/s2) grid:         static        sample times
+    force: [T] (N) total force in the requested form, downward positive
+    pulses: [pieces] start (s), duration (s), force (N), weight (N) of every piece's pulse; in the
+    extended model those of `LandingPulses`
+    height: [pieces] (m) drop heights
+    sigma_height: [] (m) their standard deviation in this portion, eqs 19-22
+    again: [pieces] True where the drop height would have been negative and was drawn again
+    gravity: [] (m/s2)
+    grid: static, sample times
     """
 
     force: jax.Array
@@ -129,10 +129,12 @@ def render(
 def random_numbers(
     key: jax.Array, pieces: int, dtype: DType, more: int = 0
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """What a portion draws: z [] normal for its spread, v [pieces] uniform on (-1, 1) for its drop
-    heights, and [pieces, more] further uniform numbers, which change none of the others.
+    """Draw the random numbers of a portion: z [] normal for its spread, v [pieces] uniform on (-1,
+    1) for its drop heights, and [pieces, more] further uniform numbers, which change none of the
+    others.
 
-    All from one call of the generator, which on a CPU costs more to enter than to fill.
+    All come from one call of the generator, whose fixed cost on a CPU exceeds that of filling the
+    array.
     """
     lowest = np.nextafter(np.array(-1.0, dtype), np.array(0.0, dtype))
     v = draws.uniform(key, 1 + pieces * (1 + more), dtype, lowest, 1.0)
@@ -237,8 +239,8 @@ def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
 
     The first call compiles. Where every trace is waited for,
     `jax.config.update("jax_cpu_enable_async_dispatch", False)` at the start of the program saves a
-    quarter of the time on a CPU. Only what is random comes out of the compiled program, each array
-    of which costs microseconds; the rest is made once.
+    quarter of the time on a CPU. Only random arrays come out of the compiled program, as each array
+    costs microseconds; the others are made once.
     """
     check(params)
     static = static_parameters(params)

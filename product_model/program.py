@@ -66,8 +66,8 @@ def run_program(
 
     Args:
         name: of the program, which begins each message.
-        action: what the program does.
-        errors: exceptions that say in one line what is wrong.
+        action: the work of the program.
+        errors: exceptions whose message is one line for the user.
     """
     _open_streams()
     try:
@@ -101,7 +101,7 @@ def fail_program(name: str, message: str, code: int = BAD_INPUT) -> int:
 
 
 def _missing_device() -> str | None:
-    """What to say where JAX does not find the device that JAX_PLATFORMS names; None where it does."""
+    """Message if JAX does not find the device that JAX_PLATFORMS names; None if it does."""
     import jax
 
     try:
@@ -118,7 +118,7 @@ def temporary_file(path: Path) -> Iterator[Path]:
     """A path beside `path` for a file that replaces it when the block ends, and is removed where
     that fails.
 
-    Of a symbolic link the file that it leads to is replaced.
+    If `path` is a symbolic link, its target is replaced.
     """
     target = path.resolve() if path.is_symlink() else path
     part = target.with_name(f".{target.name}.part{os.getpid()}")
@@ -133,8 +133,8 @@ def temporary_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def saving(save: Callable[[], str | None]) -> Iterator[None]:
-    """If the process is interrupted in here, `save` is called first; it returns where what was
-    computed is, in words.
+    """Call `save` first if the process is interrupted in this block; `save` returns the place of
+    the results, in words.
     """
     _savers.append(save)
     try:
@@ -144,7 +144,7 @@ def saving(save: Callable[[], str | None]) -> Iterator[None]:
 
 
 class QuietStream:
-    """A stream that falls silent once nobody takes what is written, as a progress bar may."""
+    """A stream that falls silent once its reader is gone, as a progress bar may."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -182,13 +182,13 @@ def _open_streams() -> None:
 
 
 def _mute() -> None:
-    """What was printed and not written yet goes nowhere: Python would try again at its end."""
+    """Discard printed text that is not written yet; Python would try again at its end."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _numbers() -> dict[int, str]:
-    """The numbers of SIGNALS that there are on this machine, and what they do."""
+    """Number -> words for those of SIGNALS that exist on this machine."""
     return {
         int(getattr(signal, key)): words for key, words in SIGNALS.items() if hasattr(signal, key)
     }
@@ -202,7 +202,7 @@ def _wait_for_signal(name: str, reading: int) -> None:
 
 
 def _leave(name: str, number: int, words: str) -> NoReturn:
-    """End the process without waiting for what it computes."""
+    """End the process without waiting for its computation."""
     said: list[str] = []
     for action, seconds in ((lambda: _save(said), SAVING if _savers else 0.0), (_flush, PATIENCE)):
         thread = threading.Thread(target=action, daemon=True)
@@ -218,7 +218,7 @@ def _leave(name: str, number: int, words: str) -> NoReturn:
 
 
 def _save(said: list[str]) -> None:
-    """Call what saves; `said` gets where things are."""
+    """Call the registered savers; the places of their results are appended to `said`."""
     for save in list(_savers):
         with contextlib.suppress(Exception):  # such as of a full disk: the process ends all the
             # same

@@ -3,8 +3,8 @@ summing up.
 
 Both are sums of steps, and of ramps where the pulses are triangles. A step is put on the grid by
 adding its height to one bin (two, where it is shared) and one cumulative sum over time turns the
-deposits into the force. A ramp, which begins at a corner of a triangle, is deposited likewise as
-second differences, which takes two sums.
+deposits into the force. A ramp, which begins at a corner of a triangle, is deposited as second
+differences, which takes two sums.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from product_model.model import Triangles
 
 
 class PulseTrain(Protocol):
-    """What a force is made of: jumps, and triangles if there are any."""
+    """A force made of jumps and, if there are any, triangles."""
 
     def edges(self) -> tuple[jax.Array, jax.Array]:
         """Times (s) and jumps (N)."""
@@ -51,8 +51,8 @@ def cumulative_sum(values: jax.Array) -> jax.Array:
 def in_samples(times: jax.Array, grid: Grid, margin: int = 0) -> jax.Array:
     """Times (s) as positions on the grid: x in [k, k + 1) lies in the interval of sample k.
 
-    What lies before the grid is moved to its beginning and what lies beyond to past its end (by
-    `margin` samples more).
+    Times before the grid are moved to its beginning, times beyond it past its end (by `margin`
+    samples more).
     """
     return jnp.clip(
         (times - grid.start) / grid.sample, -float(margin), float(grid.samples + 1 + margin)

@@ -106,7 +106,8 @@ def save_blocks(
 
 
 def file_bytes(runs: int, samples: int, itemsize: int) -> int:
-    """Bytes of the HDF5 file of so many portions and samples, but for its small parts."""
+    """Size (bytes) of the HDF5 file of ``runs`` portions of ``samples`` samples, without its small
+    parts."""
     return runs * samples * (7 * itemsize + 8)  # two forces of three components, the PIF; the
     # settled mass is a double
 

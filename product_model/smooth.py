@@ -36,8 +36,8 @@ def peak_factor(width: Numbers, dt_impact: Numbers) -> jax.Array:
 
 
 def _ramp(u: jax.Array) -> jax.Array:
-    """Integral of the Gaussian step, u Phi(u) + phi(u); written as max(u, 0) + what is small, to
-    keep its precision.
+    """Integral of the Gaussian step, u Phi(u) + phi(u), written as max(u, 0) and a small term for
+    precision.
     """
     below = -jnp.abs(u)
     return (
@@ -91,7 +91,7 @@ def _with_smooth_ramps(
 
 
 def _parabola(u: jax.Array) -> jax.Array:
-    """Integral of `_ramp`; written as that of max(u, 0) and what is small, to keep its precision."""
+    """Integral of `_ramp`, written as that of max(u, 0) and a small term for precision."""
     below = -jnp.abs(u)
     small = 0.5 * (
         (u * u + 1.0) * ndtr(below) + below * jnp.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi)

@@ -30,17 +30,17 @@ _FAR = 2**30  # sample number no stream reaches
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Stream:
-    """State of a stream of E edges, of which the paper's model has two for each piece.
+    """State of a stream of E edges; the paper's model has two for each piece.
 
-    bin:    [E]      number of the sample in whose interval each edge lies, ascending
-    level:  [E + 1]  (N) force after the first i edges
-    excess: [E + 1]  (N) sum over the first i edges of what each adds to the mean of its own bin
-    passed: []       number of edges that lie before the next sample's interval
-    sample: []       number of the next sample
-    slope:  [E + 1]  (N) change of the force in each sample after the first i edges, of which
-    corners of pulses are some;
-                     its level is then that of the sample in which edge i - 1 lies. None: the force
-                     is constant between edges
+    bin: [E] number of the sample in whose interval each edge lies, ascending
+    level: [E + 1] (N) force after the first i edges
+    excess: [E + 1] (N) sum, over the first i edges, of the contribution of each to the mean of its
+    own bin
+    passed: [] number of edges that lie before the next sample's interval
+    sample: [] number of the next sample
+    slope: [E + 1] (N) change of the force in each sample after the first i edges, some of which are
+    corners of pulses; level is then the force of the sample in which edge i - 1 lies. None: the
+    force is constant between edges
     """
 
     bin: jax.Array

@@ -49,14 +49,19 @@ STEPS = 8  # of the solution for it; each leaves less than a tenth of the error
 
 @dataclass(frozen=True)
 class DropConditions:
-    """What decides how a portion falls from a feed bucket into a weigh bucket, SI.
+    """Conditions of the fall of a portion from a feed bucket into a weigh bucket, SI.
 
-    m_piece: (kg) mean weight of a piece; pieces: number of pieces; density: (kg/m3) of the pieces;
-    modulus: (Pa) Young's modulus of the pieces as it is used, softening included; restitution,
-    friction_wall: of pieces on the bucket; friction_piece: of pieces on each other; elongation:
-    diameter of the smallest sphere around a piece over that of a sphere of its volume, 1 for a
-    sphere; drop_height: (m) between the flaps of both buckets; opening_time: (s) of the flaps of
-    the feed bucket; gravity: (m/s2)
+    m_piece: (kg) mean weight of a piece
+    pieces: number of pieces
+    density: (kg/m3) of the pieces
+    modulus: (Pa) Young's modulus of the pieces as it is used, softening included
+    restitution, friction_wall: of pieces on the bucket
+    friction_piece: of pieces on each other
+    elongation: diameter of the smallest sphere around a piece over that of a sphere of its volume,
+    1 for a sphere
+    drop_height: (m) between the flaps of both buckets
+    opening_time: (s) of the flaps of the feed bucket
+    gravity: (m/s2)
     """
 
     m_piece: float
@@ -105,8 +110,8 @@ STOCK_VALUES = Landings().values() | {
 
 
 def scale_parameters(drop: DropConditions) -> dict[str, float]:
-    """Coordinates of the parameters of the stock scene, scaled to `drop` by the physics alone; of
-    h_mean the drop height's.
+    """Coordinates of the parameters of the stock scene, scaled to `drop` by the physics alone;
+    h_mean becomes the drop height.
     """
     length = drop.length / STOCK.length
     contact = drop.contact_time / STOCK.contact_time
@@ -150,8 +155,10 @@ SHOWN = {  # condition -> of a value of it, in the units of a scene
 
 @dataclass(frozen=True)
 class Coefficients:
-    """What multiplies the terms: name of SCALED -> [1 + terms], and [1 + lost_terms] of the
-    logarithm of the lost time.
+    """Coefficients of the terms.
+
+    scaled: name of SCALED -> [1 + terms]. lost_time: [1 + lost_terms] for the logarithm of the lost
+    time.
     """
 
     scaled: dict[str, list[float]]
@@ -160,14 +167,16 @@ class Coefficients:
 
 @dataclass(frozen=True)
 class TransferTable:
-    """What was learnt.
+    """Learnt transfer from conditions to parameters.
 
-    version: of the table; conditions: name -> [centre, width, least, greatest] of each in the
-    design; terms, lost_terms: names of conditions, or two of them joined by " x "; coefficients: of
-    them; groups: the same, each learnt without a group of ensembles (jackknife); lost_error:
-    standard deviation of the logarithm of the lost time of ensembles that were left out errors:
-    name of an output -> {"median", "nine_tenths"} of its relative error for products that were not
-    learnt from
+    version: of the table
+    conditions: name -> [centre, width, least, greatest] of each in the design
+    terms, lost_terms: names of conditions, or two of them joined by " x "
+    coefficients: of the terms
+    groups: coefficients learnt without a group of ensembles each (jackknife)
+    lost_error: standard deviation of the logarithm of the lost time of ensembles that were left out
+    errors: name of an output -> {"median", "nine_tenths"} of its relative error for products
+    outside the training set
     """
 
     version: str
@@ -201,7 +210,7 @@ class TransferTable:
         return lines
 
     def lost_time(self, drop: DropConditions, of: Coefficients, shift: float = 0.0) -> float:
-        """(s) by which the fall of a portion is shortened by the opening flaps. shift: of its
+        """Time (s) by which the opening flaps shorten the fall of a portion. shift: of its
         logarithm.
         """
         logarithm = float(self.row(drop, self.lost_terms) @ np.asarray(of.lost_time)) + shift
@@ -309,12 +318,12 @@ def predict_parameters(drop: DropConditions, table: TransferTable | None = None)
 
     Args:
         drop: its conditions.
-        table: what was learnt. Default: the one of this package.
+        table: the learnt table. Default: the one of this package.
 
     Returns:
-        Values, and 90 % intervals: how sure the learnt coefficients are (jackknife over groups of
-        ensembles), for h_mean also how well the polynomial says the lost time of other ensembles,
-        at most a factor of 5.2 to either side. For a drop outside of the design
+        Values, and 90 % intervals: from the uncertainty of the learnt coefficients (jackknife over
+        groups of ensembles), for h_mean also from the error of the polynomial for the lost time of
+        other ensembles, at most a factor of 5.2 to either side. For a drop outside of the design
         (`TransferTable.outside`) they are extrapolated.
     """
     table = table or shipped_table()
@@ -352,7 +361,8 @@ ERROR_WORDS |= {"cell_peak": "peak of a load cell of 40 Hz"}
 
 
 def describe_prediction(drop: DropConditions, table: TransferTable | None = None) -> list[str]:
-    """In words: what the parameters of a drop rest on, and in what it is outside of the design."""
+    """The source of the predicted parameters and their errors, and the conditions of the drop
+    outside the design, in words."""
     table = table or shipped_table()
     errors = ", ".join(
         f"{ERROR_WORDS.get(name, name)} {100 * of['median']:.0f} % (nine tenths: {100 * of['nine_tenths']:.0f} %)"

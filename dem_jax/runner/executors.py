@@ -35,7 +35,7 @@ def choose_executor(system: System, runs: int | None, is_one: bool = True) -> Ex
     Args:
         system: of the run, or of the runs of the ensemble.
         runs: number of runs of an ensemble; None: a single run.
-        is_one: whether the system is that of all runs.
+        is_one: whether all runs have this system.
     """
     if runs is None:
         return run_single
