@@ -1,5 +1,5 @@
-"""Files that are written: whole or not at all, under a name of their own until they are, and by one
-process at a time.
+"""Atomic writing of files: completely or not at all, under a temporary name, and by one process at
+a time.
 """
 
 import errno
@@ -46,7 +46,7 @@ def _stat_fingerprint(found: os.stat_result) -> Fingerprint:
 
 
 def write_atomically(path: FileName, content: bytes | memoryview) -> Path:
-    """Write a file anew. Whoever reads it meets the one before or all of this one, also if the
+    """Write a file anew. A reader finds either the former file or the complete new one, also if the
     process is killed meanwhile.
 
     Returns the path as it was given. Raises RecordError where it cannot be written.
@@ -59,8 +59,8 @@ def write_atomically(path: FileName, content: bytes | memoryview) -> Path:
 
 
 def replace_file(path: Path, content: bytes | memoryview) -> Fingerprint:
-    """Put content in the place of a file; returns the new file's fingerprint. Raises OSError, and
-    leaves the file as it was.
+    """Replace a file by new content; returns the new file's fingerprint. If it raises OSError, the
+    file is as before.
     """
     before = os.stat(path) if path.exists() else None
     if before is not None and not stat.S_ISREG(before.st_mode):
@@ -88,8 +88,8 @@ def replace_file(path: Path, content: bytes | memoryview) -> Fingerprint:
 
 
 def _open_partial(folder: Path) -> tuple[IO[bytes], str | None]:
-    """A new file and its name; None: it has none yet, so that nothing of it stays behind if the
-    process is killed.
+    """A new file and its name; None: it has no name yet, so that nothing is left if the process is
+    killed.
     """
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):  # not of every file system
@@ -114,7 +114,7 @@ def _link_partial(file: int, folder: Path) -> str:
 
 
 def _partial_name(folder: Path) -> str:
-    """A name that no other file has, and no longer than every file system takes."""
+    """A unique name, short enough for every file system."""
     return os.path.join(folder, f".dem_jax-{secrets.token_hex(8)}.tmp")
 
 
@@ -137,8 +137,8 @@ def check_destination(path: FileName, overwrite: bool = False) -> None:
 
 
 def check_writable(path: FileName) -> None:
-    """Raise RecordError if a file cannot be written: for want of permission or room, or by its
-    name. Leaves nothing behind.
+    """Raise RecordError if a file cannot be written: for lack of permission or space, or because of
+    its name. Leaves nothing behind.
     """
     place = resolve_destination(path)
     try:
@@ -155,7 +155,7 @@ def check_writable(path: FileName) -> None:
 
 
 def _check_existing(place: Path) -> None:
-    """Raises OSError for a file that is not to be replaced."""
+    """Raise OSError for a file that must not be replaced."""
     if not place.is_file():
         raise OSError(errno.EINVAL, "it is not a regular file")
     if not os.access(place, os.W_OK):
@@ -165,7 +165,7 @@ def _check_existing(place: Path) -> None:
 
 
 def is_open_elsewhere(path: Path) -> bool:
-    """Whether another program has an HDF5 file open to write to it: HDF5 locks it then."""
+    """Whether another program has an HDF5 file open for writing; HDF5 locks it then."""
     try:
         import fcntl
     except ImportError:  # of Windows, which does not let such a file be replaced anyway
@@ -181,7 +181,7 @@ def is_open_elsewhere(path: Path) -> bool:
 
 
 def describe_os_error(error: OSError) -> str:
-    """Why a file cannot be read or written, in a few words."""
+    """The reason why a file cannot be read or written, in a few words."""
     if getattr(error, "winerror", None) in (32, 33):
         return OPEN_ELSEWHERE
     return error.strerror or (str(error).splitlines() or [type(error).__name__])[0]
@@ -189,8 +189,8 @@ def describe_os_error(error: OSError) -> str:
 
 @contextmanager
 def lock_file(path: FileName) -> Iterator[None]:
-    """Be the only process, of this user and machine, that writes a file. Raises RecordError where
-    another one does.
+    """Hold the lock on a file among the processes of this user and machine. Raises RecordError if
+    another one holds it.
 
     The lock is kept in the user's cache folder, not beside the file, and ends with the process,
     however that ends.
@@ -232,7 +232,7 @@ def _acquire_lock(place: Path) -> tuple[str, int]:
 
 
 def _lock_descriptor(file: int) -> None:
-    """Raises BlockingIOError where it is held already."""
+    """Lock a descriptor. Raises BlockingIOError if another process holds the lock."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -247,7 +247,7 @@ def _lock_descriptor(file: int) -> None:
 
 
 def _find_lock_folder() -> str:
-    """Raises OSError where none can be made."""
+    """The folder of locks. Raises OSError if it cannot be made."""
     for base in _list_cache_folders():
         folder = os.path.join(base, "dem_jax", "locks")
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""A file and its datasets: their paths and units, the axis that time runs along, how they grow."""
+"""Datasets of a file: their paths and units, their time axis, and how they grow."""
 
 import zlib
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ CHUNK_ROWS = 1024  # samples per chunk: 8 KiB of a scalar series in double preci
 
 @contextmanager
 def open_for_reading(path: FileName) -> "Iterator[h5py.File]":
-    """The open HDF5 file; whatever HDF5 finds wrong with it is one clear line."""
+    """Open an HDF5 file for reading; errors of HDF5 become one clear line."""
     import h5py
 
     check_readable(path)
@@ -111,8 +111,8 @@ def extend_dataset(file: "h5py.File", name: str, array: np.ndarray, header: RunH
 
 
 def replace_restart(file: "h5py.File", arrays: dict[str, np.ndarray]) -> None:
-    """Make the restart state just these arrays; those of the same form are overwritten, so that the
-    file does not grow.
+    """Replace the restart state by these arrays; arrays of the same shape are overwritten, so that
+    the file does not grow.
     """
     old = dict(iterate_datasets(file["restart"])) if "restart" in file else {}
     for name in old.keys() - arrays.keys():
@@ -136,8 +136,8 @@ def write_checksum(file: "h5py.File") -> None:
 
 
 def compute_checksum(file: "h5py.File", restart: dict[str, np.ndarray]) -> int:
-    """CRC-32 of a restart state, path -> array, and of the attributes of the file that decide how
-    it goes on.
+    """CRC-32 of a restart state, path -> array, and of the attributes of the file that determine
+    the continued run.
     """
     found = 0
     for name in PROTECTED_ATTRIBUTES:

@@ -82,7 +82,7 @@ class RunHeader:
 
     @property
     def stored_quantities(self) -> tuple[StoredQuantity, ...]:
-        """The quantities; where the header does not say, those of dem_jax, with the groups and
+        """The quantities; if the header does not list them, those of dem_jax, with the groups and
         blocks that it names.
         """
         if self.quantities is not None:
@@ -112,7 +112,7 @@ class RunHeader:
 
 
 def write_header(file: "h5py.File", header: RunHeader) -> None:
-    """Make the attributes of a new file."""
+    """Write the attributes of a new file."""
     import h5py
 
     for name, value in asdict(header).items():
@@ -128,7 +128,7 @@ def write_header(file: "h5py.File", header: RunHeader) -> None:
 
 def read_header(file: "h5py.File", path: Any) -> RunHeader:
     """The header of a file. Raises RecordError, naming path, for an attribute that is missing or
-    cannot be.
+    invalid.
     """
     values = {}
     for f in fields(RunHeader):
@@ -194,7 +194,7 @@ def _parse_quantities(rows: Any, path: Any) -> tuple[StoredQuantity, ...]:
 
 
 def _parse_quantity(row: Any) -> StoredQuantity | None:
-    """A quantity, None if it cannot be one."""
+    """A quantity from its stored metadata, None if these are invalid."""
     texts = schema.make_list_check(schema.is_text)
     if not isinstance(row, dict) or row.keys() != set(StoredQuantity._fields):
         return None

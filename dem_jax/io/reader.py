@@ -1,4 +1,4 @@
-"""Files of runs, read: whatever is wrong with one is one clear line."""
+"""Reading of run files; every error is one clear line."""
 
 from dataclasses import fields
 from typing import Any
@@ -77,7 +77,7 @@ def load_restart(path: FileName) -> tuple[RunHeader, dict[str, np.ndarray], int,
 
 
 def _select_group(group: str, items: dict[str, Any]) -> dict[str, Any]:
-    """Those in a group, by their paths in it."""
+    """The arrays in a group, by their paths in it."""
     return {
         name.removeprefix(f"{group}/"): item
         for name, item in items.items()

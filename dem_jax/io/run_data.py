@@ -203,7 +203,7 @@ def assemble_run(
     parts: dict[str, list[np.ndarray]],
     restart: dict[str, np.ndarray] | None = None,
 ) -> Any:
-    """The run of path -> [array, ...], in pieces along the time axis; None if there are no samples."""
+    """The run from path -> [array, ...], pieces along the time axis; None if there are no samples."""
     series = {
         name: np.concatenate(arrays, axis=time_axis(name, header)) for name, arrays in parts.items()
     }

@@ -49,7 +49,7 @@ def is_positive(value: Any) -> bool:
 
 
 def make_list_check(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    """Whether it is a list of such."""
+    """Check for a list of values that pass another check."""
     return lambda value: isinstance(value, list | tuple) and all(map(holds, value))
 
 
@@ -108,7 +108,7 @@ INFO_RULES = {
 
 
 def check_attribute(value: Any, rule: AttributeRule, name: str, path: Any) -> None:
-    """Raise RecordError, naming path, for an attribute that cannot be."""
+    """Raise RecordError, naming path, for an invalid attribute."""
     if not rule.holds(value):
         shown = repr(value)
         shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
@@ -118,8 +118,8 @@ def check_attribute(value: Any, rule: AttributeRule, name: str, path: Any) -> No
 
 
 def read_array(dataset: "h5py.Dataset", path: Any) -> np.ndarray:
-    """The numbers of a dataset. Raises RecordError, naming path, for one that holds others or
-    claims more than there is.
+    """The numbers of a dataset. Raises RecordError, naming path, if it holds no numbers or claims a
+    larger size than it has.
     """
     name = dataset.name.lstrip("/")
     if dataset.shape is None or dataset.dtype.kind not in "biuf":

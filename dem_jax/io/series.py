@@ -1,5 +1,5 @@
-"""From the arrays of a chunk to the series and poses of a file, in the user's names and body
-frames.
+"""Conversion of the arrays of a chunk to the series and poses of a file, in the user's names and
+body frames.
 """
 
 from typing import Any
@@ -62,9 +62,7 @@ def frames_from_poses(
 
 
 def stack_pose(system: System, state: State) -> np.ndarray:
-    """Position, orientation, velocity and angular velocity (rad/s), [.., 13, N], as measure.frame,
-    in numpy.
-    """
+    """Position, orientation, velocity and angular velocity (rad/s), [.., 13, N], in numpy."""
     q, momentum = np.asarray(state.orientation), np.asarray(state.angular_momentum)
     spin = np.zeros_like(momentum)
     if system.has_rotation:

@@ -1,4 +1,5 @@
-"""Runs and ensembles as HDF5 files: written as a run goes, readable at every moment.
+"""Writing of runs and ensembles to HDF5 files during the run; the files are readable at every
+moment.
 
 A flush never changes the file in place: it appends to a copy in memory and puts that in the place
 of the original (``output.replace_file``). So a process that is killed at any instant leaves the
@@ -156,8 +157,8 @@ class Writer:
         self.append({}, restart=arrays)
 
     def flush(self) -> None:
-        """Bring all that was appended into the file. Raises RecordError if that fails; the file is
-        then as before.
+        """Write all appended data to the file. Raises RecordError if that fails; the file is then
+        as before.
         """
         with process.defer_signals():  # and by one thread at a time
             if not self._pending:

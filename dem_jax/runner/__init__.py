@@ -1,1 +1,1 @@
-"""The host: a scene becomes a run, chunk by chunk, and nothing that goes wrong passes unseen."""
+"""The host loop: runs a scene chunk by chunk and reports every failure."""

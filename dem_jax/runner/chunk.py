@@ -25,7 +25,7 @@ class Clock:
 
 
 class ChunkTiming(NamedTuple):
-    """How long a chunk is, in samples, int32: may change without compiling again."""
+    """Length of a chunk in samples, int32; may change without compiling again."""
 
     length: np.int32
     samples_per_frame: np.int32  # samples between frames

@@ -1,4 +1,4 @@
-"""A chunk that stands: run again, with more room, until nothing is outgrown."""
+"""Result of a chunk, run again with larger capacities until none overflows."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ChunkResult:
-    """Samples ``first`` to ``first + count``, and where they led."""
+    """Samples ``first`` to ``first + count``, and the state after them."""
 
     first: int  # before the release: negative
     count: int
@@ -38,15 +38,15 @@ class ChunkResult:
 
     @property
     def end(self) -> int:
-        """The first sample after it."""
+        """Number of the first sample after the chunk."""
         return self.first + self.count
 
 
 def compute_chunk(
     job: Job, system: System, state: State, first: int, count: int, shown: Progress
 ) -> ChunkResult:
-    """One chunk, run again from its first state until nothing is outgrown. Raises SceneError if the
-    start overlaps.
+    """Compute one chunk, again from its first state until no capacity overflows. Raises SceneError
+    if the start overlaps.
 
     For an ensemble in threads only the runs that exceeded a capacity are repeated.
     """

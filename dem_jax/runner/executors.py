@@ -80,7 +80,7 @@ def execute_chunk(
 
 
 def run_single(chunk: Chunk) -> ComputedChunk:
-    """A run that is no ensemble."""
+    """Compute a single run."""
     return call_program(programs.get_executable(chunk, stepping.run_chunk), chunk)
 
 
@@ -95,8 +95,8 @@ def run_threaded(chunk: Chunk) -> ComputedChunk:
 
 
 def run_interleaved(chunk: Chunk) -> ComputedChunk:
-    """The runs of an ensemble on all cores of a CPU at once, sixteen as one system; the last run
-    fills up the last group.
+    """Compute the runs of an ensemble on all cores of a CPU, sixteen at a time as one system; the
+    last run fills up the last group.
     """
     last = len(chunk.state.step) - 1
     groups = [
@@ -107,8 +107,8 @@ def run_interleaved(chunk: Chunk) -> ComputedChunk:
 
 
 def run_on_devices(chunk: Chunk) -> ComputedChunk:
-    """The runs of an ensemble side by side, shared out among devices; all of them, whatever is
-    known of some: fewer would be another program.
+    """Compute the runs of an ensemble on several devices; always all of them, even if the results
+    of some are known, as fewer would need another program.
     """
     mesh = _build_device_mesh(len(chunk.state.step))
     system = chunk.system if chunk.sweep is None else chunk.sweep.stack_system(chunk.system)
@@ -119,7 +119,8 @@ def run_on_devices(chunk: Chunk) -> ComputedChunk:
 
 
 def run_on_hosts(here: Executor, runs: int, chunk: Chunk) -> ComputedChunk:
-    """The runs of an ensemble shared out among processes; here: how each computes its own."""
+    """Compute the runs of an ensemble in several processes. here: function with which each process
+    computes its own runs."""
     mine = multihost.local_slice(runs)
     state, known = take_runs(jax.device_get((chunk.state, chunk.known)), mine)
     own = chunk._replace(
@@ -141,7 +142,8 @@ def _run_on_cores(
     together: Callable[..., np.ndarray],
     run_chunk: programs.RunChunk,
 ) -> ComputedChunk:
-    """groups: the run or runs of each thread. together: makes one array of theirs."""
+    """Compute groups of runs in threads. groups: the run or runs of each thread; together: joins
+    their arrays."""
     kept = jax.device_get(_drop_scratch(chunk.state))
     # a rebuild refills it: any run's will do
     scratch = jax.device_put(take_runs(jax.device_get(chunk.state.scratch), groups[0]))
@@ -183,7 +185,7 @@ def _count_cores() -> int:
 
 
 def _build_device_mesh(runs: int) -> Mesh:
-    """As many devices of this process as can have equally many runs each."""
+    """Mesh of the largest number of this process's devices that can have equally many runs each."""
     devices = jax.local_devices()
     count = max(n for n in range(1, len(devices) + 1) if runs % n == 0)
     return Mesh(np.array(devices[:count]), ("runs",))

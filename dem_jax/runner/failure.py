@@ -35,9 +35,7 @@ START_OVERLAP = 1e-3  # of the narrower piece's width, that pieces may overlap b
 
 
 def check_start_overlap(job: Job, guard: OverflowReport) -> None:
-    """Raise SceneError if bodies overlap at the first rebuild by more than is allowed. guard:
-    numpy.
-    """
+    """Raise SceneError if bodies overlap too much at the first rebuild. guard: numpy."""
     overlap = np.atleast_1d(guard.start_overlap)
     member = int(np.argmax(overlap))
     if not overlap[member] > START_OVERLAP:
@@ -51,9 +49,7 @@ def check_start_overlap(job: Job, guard: OverflowReport) -> None:
 
 
 def detect_failure(samples: Sample, count: int) -> tuple[int, int] | None:
-    """(member, sample) of the first sample that a run cannot go on from, or None. samples: numpy
-    [.., T].
-    """
+    """(member, sample) of the first failed sample of a run, or None. samples: numpy [.., T]."""
     culprit, overlap, stride = (
         np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap, samples.stride)
     )
@@ -112,7 +108,7 @@ def note_escapes(job: Job, state: State) -> list[str]:
 
 
 def make_capacity_error(job: Job, first: int, reasons: list[str]) -> SimulationError:
-    """The error of a chunk for which no room is enough."""
+    """The error of a chunk whose capacities cannot grow further."""
     at = first * job.scene.run.sample
     return _make_error(
         job,
@@ -124,7 +120,7 @@ def make_capacity_error(job: Job, first: int, reasons: list[str]) -> SimulationE
 
 
 def body_name(system: System, body: int) -> str:
-    """A body by its number: parts of pieces first, then panels."""
+    """Name of a body by its number: parts of pieces first, then panels."""
     group = _find_wall_group(system, body)
     return (
         f"piece {int(system.parts.owning_piece(body))}"
@@ -134,13 +130,13 @@ def body_name(system: System, body: int) -> str:
 
 
 def _find_wall_group(system: System, body: int) -> str | None:
-    """The wall group of a body by its number; None: it is of a piece."""
+    """The wall group of a body by its number; None: it belongs to a piece."""
     panel = body - system.parts.count
     return None if panel < 0 else system.walls.groups[int(system.walls.group[panel])]
 
 
 def _make_error(job: Job, line: str, piece: int | None, at: float, member: int) -> SimulationError:
-    """An error whose line begins with the scene and, of an ensemble, the run."""
+    """An error whose line begins with the scene and, for an ensemble, the run."""
     return SimulationError(
         f"{_name_run(job, member)}: {line}", piece, at, None if job.runs is None else member
     )
@@ -155,15 +151,15 @@ def _name_run(job: Job, member: int) -> str:
 
 
 def _list_real_quantities(samples: Sample) -> list[str]:
-    """The quantities that are real numbers, those of a user among them."""
+    """Names of the real quantities, including those of the user."""
     return [
         name for name, values in samples.values.items() if np.asarray(values).dtype.kind in "fc"
     ]
 
 
 def _is_sum_finite(values: np.ndarray) -> bool:
-    """Whether the sum of all is finite: then each is. Takes a seventh of looking at each, which
-    counts for 1024 runs.
+    """Whether the sum of all values is finite, so that each is. This takes a seventh of the time of
+    a test of each, which matters for 1024 runs.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(values.sum()))
@@ -240,7 +236,7 @@ def _diagnose_throw(system: System, state: State, piece: int, speed: float) -> s
 
 def _measure_panel_speeds(system: System, end: float) -> tuple[np.ndarray, float]:
     """Largest speed (m/s) of any point of each panel until a time (s), at INSTANTS of it, and the
-    top (m) of all at rest.
+    height (m) of the highest panel at rest.
     """
     walls = system.walls
     reach = np.linalg.norm(np.asarray(walls.half_extent), axis=0)
@@ -255,9 +251,7 @@ def _measure_panel_speeds(system: System, end: float) -> tuple[np.ndarray, float
 
 
 def _blame_overfull_bucket(job: Job, member: int) -> str:
-    """The likely cause that begins a list of them, where a bucket cannot hold the portion; else
-    nothing.
-    """
+    """The first likely cause of a list, if a bucket cannot hold the portion; else empty."""
     full = [
         fill
         for fill in bucket_fill.list_bucket_fills(

@@ -222,9 +222,8 @@ def run_job(
 
 
 def _check_law(path: FileName, name: str | None, law: ContactLaw | None) -> None:
-    """Raises RecordError unless a law of one's own is given to a run that was made with one of that
-    name.
-    """
+    """Raise RecordError unless the given contact law has the name of the user's law in the file, or
+    both are None."""
     given = None if law is None else type(law).__name__
     if given != name:
         allowed = (

@@ -55,12 +55,12 @@ class Job:
 
     @property
     def is_double(self) -> bool:
-        """Whether in double precision."""
+        """Whether the job runs in double precision."""
         return self.scene.run.precision == "f64"
 
     @property
     def samples(self) -> int:
-        """Where the run ends."""
+        """Number of samples at the end of the run."""
         return self.built.samples
 
     @property
@@ -70,7 +70,7 @@ class Job:
 
     @property
     def frame_capacity(self) -> int:
-        """Stored poses of a chunk, at most."""
+        """Largest number of stored poses in a chunk."""
         return CHUNK_FRAMES if self.samples_per_frame else 0
 
     @property
@@ -80,14 +80,14 @@ class Job:
 
     @property
     def steps_per_run(self) -> np.ndarray:
-        """Time steps of a sample interval, of each run of an ensemble, or [] of a single one."""
+        """Time steps of a sample interval, one for each run of an ensemble, or [] for a single run."""
         built = (
             [self.built] if self.runs is None else [self.built_for_run(k) for k in range(self.runs)]
         )
         return np.array([b.step.substeps for b in built]).reshape(np.shape(self.state.step))
 
     def sample_index(self, state: State) -> int:
-        """How many sample intervals a state is from the release."""
+        """Number of sample intervals from the release to a state."""
         return int(np.ravel(state.step)[0]) // self.steps_per_sample
 
     def built_for_run(self, run: int) -> assembly.AssembledSystem:
@@ -133,7 +133,8 @@ class Job:
         return self.steps_per_sample * (STEP_TIME + BODY_TIME * bodies)
 
     def chunk_end(self, at: int) -> int:
-        """Where the chunk that begins at a sample ends, in every run of the scene, however long."""
+        """Last sample of the chunk that begins at a sample, the same in every run of the scene,
+        however long."""
         end = at + self.samples_per_chunk if at >= 0 else min(at + self.samples_per_chunk, 0)
         if self.system.exchanges and at >= 0:
             between = self.samples_between_exchanges

@@ -100,9 +100,7 @@ def prepare_job(
 
 
 def validate_seed(seed: Any) -> int:
-    """The seed as a plain number. Raises SceneError unless it is a whole number that a file can
-    hold.
-    """
+    """The seed as a Python int. Raises SceneError unless it is an integer that a file can hold."""
     is_whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not is_whole or not 0 <= seed <= MOST_SEED:
         raise SceneError(
@@ -153,7 +151,8 @@ def assemble_scene(
     reuse: assembly.AssemblyCache | None = None,
     room: EnsembleCapacity | None = None,
 ) -> assembly.AssembledSystem:
-    """As ``assembly.assemble_system``; numbers that no check foresaw are one line as well."""
+    """Assemble as ``assembly.assemble_system``; numerical errors that no check foresaw become one
+    line as well."""
     try:
         return assembly.assemble_system(scene, seed, law, reuse, room)
     except (ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:

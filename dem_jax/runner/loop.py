@@ -1,5 +1,4 @@
-"""The loop over the chunks of a job: a scene becomes a run, and nothing that goes wrong passes
-unseen.
+"""The loop over the chunks of a job, which reports every failure.
 
 After each chunk the guard is read: a chunk that exceeded a capacity or the skin is repeated with
 more; a start with overlaps, a piece that is not finite or left the domain and a contact that is too

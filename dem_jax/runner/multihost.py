@@ -24,12 +24,12 @@ def is_distributed() -> bool:
 
 
 def is_primary() -> bool:
-    """Whether this is the process that writes and shows."""
+    """Whether this process writes files and shows progress."""
     return not is_distributed() or jax.process_index() == 0
 
 
 def local_slice(count: int) -> slice:
-    """Those of ``count`` runs that are this process's: in order, as evenly as can be."""
+    """The share of this process in ``count`` runs, in order and as even as possible."""
     k, n = jax.process_index(), jax.process_count()
     return slice(count * k // n, count * (k + 1) // n)
 
@@ -57,7 +57,7 @@ def all_gather(function: Callable[[], T]) -> list[T]:
 
 
 def call_on_primary(function: Callable[[], T], shared: bool = True) -> T:
-    """The value of a function that, of processes that share a task, only the first calls."""
+    """The value of a function that only the first of the processes calls."""
     if not shared:
         return function()
     found: list[Any] = all_gather(lambda: function() if is_primary() else None)

@@ -59,7 +59,7 @@ class ParameterSweep:
         )
 
     def mark_leaves(self, system: System, differs: Any, same: Any) -> Any:
-        """A tree like the system's that says of each leaf whether it differs."""
+        """A tree like the system that marks the leaves that differ."""
         leaves, structure = jax.tree.flatten(system)
         return jax.tree.unflatten(
             structure, [differs if k in self.leaves else same for k, _ in enumerate(leaves)]
@@ -112,7 +112,7 @@ def _to_plain_lists(values: Any) -> list[Any]:
 def build_run_scenes(
     scene: Scene, parameters: dict[str, list[Any]] | None, runs: int
 ) -> list[Scene]:
-    """The scene of each run, one object for those whose parameters are alike. Raises SceneError."""
+    """The scene of each run, one object for runs with equal parameters. Raises SceneError."""
     if not parameters:
         return [scene] * runs
     _check_keys(parameters)
@@ -163,7 +163,7 @@ def _check_keys(keys: Iterable[str]) -> None:
 
 
 def is_file_key(key: str) -> bool:
-    """Whether a key names a file, or says how it is read."""
+    """Whether a key names a file, or an option of reading it."""
     return key.rpartition(".")[2] in FILE_KEYS
 
 
@@ -199,7 +199,7 @@ def program_signature(built: assembly.AssembledSystem) -> Any:
 
 
 def _list_differing_fields(one: System, other: System) -> list[str]:
-    """Names of the static fields that differ, and of the parts that one has and the other has not."""
+    """Names of the static fields that differ, and of the parts that only one of both has."""
     found = []
     for field in fields(one):
         a, b = getattr(one, field.name), getattr(other, field.name)

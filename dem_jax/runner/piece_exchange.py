@@ -25,8 +25,8 @@ GAP_FACTOR = 1.001  # times the sum of two bounding radii: nearest that a new pi
 
 
 def exchange_pieces(job: Job, state: State, at: int) -> State:
-    """The state at a sample with those pieces taken out that are below the outlet, and those
-    brought in that are due.
+    """The state at a sample after the removal of pieces below the outlet and the insertion of
+    pieces that are due.
     """
     if not job.system.exchanges or at < 0 or at % job.samples_between_exchanges:
         return state
@@ -87,7 +87,7 @@ def _exchange_run(job: Job, state: State, at: int, run: int) -> State:
 
 
 def _remove_pieces(system: System, plan: ExchangePlan, state: State) -> State:
-    """Without the pieces below the outlet."""
+    """The state without the pieces below the outlet."""
     if plan.outlet_height is None:
         return state
     gone = np.flatnonzero(get_exchange(state).there & (state.position[2] < plan.outlet_height))
@@ -112,7 +112,7 @@ def _insert_pieces(
     time: float,
     random: np.random.Generator,
 ) -> State:
-    """With as many of the pieces that wait, drawn at random, as are due and find a place."""
+    """The state with the waiting pieces, drawn at random, that are due and find a place."""
     inlet, mass = scene.inlet, np.asarray(system.pieces.mass)
     assert inlet is not None and plan.inlet_box is not None
     lack = _due_mass(inlet, time) - float(get_exchange(state).mass[0, 0])
@@ -175,8 +175,8 @@ def _move_pieces(
     turn: np.ndarray,
     velocity: np.ndarray,
 ) -> PieceMotion:
-    """The motion with some pieces elsewhere, without spin or load; position [n, 3], turn [n, 4],
-    velocity [3] or [n, 3].
+    """The motion with some pieces moved elsewhere, without spin or load; position [n, 3], turn [n,
+    4], velocity [3] or [n, 3].
     """
     values = {
         "position": position.T,

@@ -1,4 +1,4 @@
-"""Compiled chunks, of which a process keeps those that it used last."""
+"""Cache of compiled chunks: a process keeps those that it used last."""
 
 import threading
 import time
@@ -59,8 +59,8 @@ def get_executable(
 
 
 def _store_executable(key: Any, program: Callable[..., Any]) -> None:
-    """Keep a program that is used now, and forget the one whose last use is longest ago if there
-    are more than MOST_KEPT.
+    """Store a program that is used now, and drop the least recently used one if there are more than
+    MOST_KEPT.
     """
     with LOCK:
         EXECUTABLES.pop(key, None)

@@ -70,19 +70,19 @@ class Progress:
         return "settling" if at < 0 else "running"
 
     def show_compiling(self) -> None:
-        """A program is about to be compiled."""
+        """Show that a program is about to be compiled."""
         if self._tell is not None:
             self._tell("compiling", self._share)
         if self._bar is not None:
             self._bar.set_description_str("compiling")
 
     def show_note(self, text: str) -> None:
-        """Something that a person should know, above the bar."""
+        """Show a note for the user above the bar."""
         if self._bar is not None:
             self._bar.write(text, file=self._stream)
 
     def show_chunk(self, span: "ChunkResult") -> None:
-        """A chunk is done."""
+        """Show that a chunk is done."""
         left_out = (0 if span.end < 0 else self._job.samples) - span.end if span.settled else 0
         self._share = (span.end + left_out - self._from) / max(self._job.samples - self._from, 1)
         if self._tell is not None:
@@ -99,7 +99,7 @@ class Progress:
 
 
 def _refresh_bar(bar: Any, ended: threading.Event) -> None:
-    """Let a bar's clock go on while a program compiles or a chunk is computed.
+    """Keep the bar's clock running while a program compiles or a chunk is computed.
 
     The thread is given nothing else: it must not be the one that frees the arrays of a run.
     """

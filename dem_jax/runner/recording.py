@@ -76,8 +76,8 @@ def list_piece_masses(job: Job) -> list[Any]:
 def select_new_rows(
     job: Job, span: ChunkResult, count: int
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Series and poses of the first samples of a span that are not in the file yet, as
-    Writer.append takes them.
+    """Series and poses of the first samples of a span that are not in the file yet, in the form for
+    io.writer.Writer.append.
     """
     if span.first < 0:
         return {}, None
@@ -179,7 +179,7 @@ def count_moving(job: Job, span: ChunkResult) -> dict[str, Any]:
 
 
 def choose_restart_state(job: Job, span: ChunkResult) -> dict[str, np.ndarray] | None:
-    """The state to go on from after a span, or None for that of the span before.
+    """The restart state after a span, or None to keep that of the span before.
 
     Only at the end of a whole chunk, or at its beginning if it is the first: there every run of the
     scene, however long, begins a chunk, which is why going on gives the same bits.

@@ -1,4 +1,4 @@
-"""A state as named arrays, and back: all that is needed to go on bit for bit.
+"""Conversion of a state to named arrays and back: the data for a bitwise identical restart.
 
 Arrays that the rebuild at the start of a chunk recomputes are left out.
 """
@@ -130,7 +130,7 @@ def _read_counts(
 
 
 def _read_skin(system: System, arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """The skin (m). Raises RecordError for one that no run can have come to."""
+    """The skin (m). Raises RecordError for a value that no run can have reached."""
     skin, most = _find_array(arrays, "skin"), max(_largest_reach(system), float(system.skin))
     if skin.shape != () or skin.dtype != system.skin.dtype or not 0 < skin <= most:
         raise RecordError(
@@ -140,7 +140,7 @@ def _read_skin(system: System, arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _read_partition(system: System, arrays: dict[str, np.ndarray]) -> Any:
-    """The room of jax-md's list. Raises RecordError."""
+    """The capacity of jax-md's list. Raises RecordError."""
     array, own, parts = _find_array(arrays, "partition"), system.partition, system.parts.count
     assert own is not None  # as who asks makes sure
     rooms = (
@@ -211,7 +211,7 @@ def _match_quantity(quantity: Quantity, stored: StoredQuantity | None) -> Quanti
 
 def _list_leaves(state: State) -> tuple[list[tuple[str, Any]], Any]:
     """[(path, array)] of the stored leaves, and their structure, without those that each sample
-    resets and older files lack.
+    resets, which older files lack.
     """
     kept = state.replace(scratch=None, ledger=state.ledger.replace(peak=None))
     paths, structure = jax.tree_util.tree_flatten_with_path(kept)

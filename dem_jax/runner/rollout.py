@@ -126,8 +126,8 @@ def rollout(
 
 
 def check_numbers(scene: Scene, built: assembly.AssembledSystem, values: Parameters) -> None:
-    """Raise SceneError for values that a scene would not take, or with which the time step of this
-    one is not stable.
+    """Raise SceneError for values that a scene does not allow, or that make this scene's time step
+    unstable.
 
     Values that stand for any number while JAX traces pass: the scene's own are in their place.
     """

@@ -1,4 +1,4 @@
-"""Where a run goes: into memory, into a file, or, in a process that another writes for, nowhere."""
+"""Destinations of a run: memory, a file, or nothing in a process for which another one writes."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -25,7 +25,7 @@ class Sink(Protocol):
         restart: Arrays | None = None,
         info: Arrays | None = None,
     ) -> None:
-        """As record.Writer.append."""
+        """As io.writer.Writer.append."""
 
     def report_failure(self, error: SimulationError) -> None:
         """Add to the error where the samples appended so far are."""
@@ -49,7 +49,7 @@ class MemorySink:
         restart: Arrays | None = None,
         info: Arrays | None = None,
     ) -> None:
-        """As record.Writer.append."""
+        """As io.writer.Writer.append."""
         poses = {f"pieces/{name}": array for name, array in (frames or {}).items()}
         for name, array in (run_files.flatten_tree(samples) | poses).items():
             self._parts.setdefault(name, []).append(array)
@@ -57,7 +57,7 @@ class MemorySink:
         self._header = replace(self._header, info=self._header.info | (info or {}))
 
     def build_run(self) -> run_files.Run:
-        """All that was appended."""
+        """The run of all appended samples."""
         return run_files.assemble_run(self._header, self._parts, self._restart)
 
     def report_failure(self, error: SimulationError) -> None:
@@ -71,7 +71,7 @@ class FileSink:
     """
 
     def __init__(self, path: run_files.FileName, writer: WriterFactory | None) -> None:
-        """writer: None in a process that another writes for."""
+        """writer: None in a process for which another one writes."""
         self._path, self._make = Path(path), writer
         self._writer: run_files.Writer | None = None
         self._held = ExitStack()
@@ -83,7 +83,7 @@ class FileSink:
         restart: Arrays | None = None,
         info: Arrays | None = None,
     ) -> None:
-        """As record.Writer.append."""
+        """As io.writer.Writer.append."""
         self.open_writer()
         if self._writer is not None:
             self._writer.append(samples, frames, restart, info)
@@ -94,7 +94,7 @@ class FileSink:
             self._writer = self._make()
 
     def flush(self) -> None:
-        """As record.Writer.flush."""
+        """As io.writer.Writer.flush."""
         if self._writer is not None:
             self._writer.flush()
 

@@ -1,5 +1,5 @@
-"""When all is at rest, so that a run may end early (``run.until_settled``): decided on the host,
-between chunks.
+"""Stop criterion of ``run.until_settled``: a run may end early when all is at rest, decided on the
+host between chunks.
 """
 
 import math
@@ -16,7 +16,7 @@ from dem_jax.walls import motion
 
 @dataclass(frozen=True)
 class StopCriterion:
-    """When a run may end; times in samples from the release.
+    """Criterion for the early end of a run; times in samples from the release.
 
     Looked at after each ``window``, counted from the start of settling and from the release: so it
     depends on the scene alone, not on how a run is cut into chunks.
@@ -28,7 +28,7 @@ class StopCriterion:
     walls_at_rest: int  # from here on no wall moves
 
     def next_check(self, at: int) -> int:
-        """The end of the window that a sample is in."""
+        """End of the window that contains a sample."""
         origin = self.start if at < 0 else 0
         return at + self.window - (at - origin) % self.window
 
@@ -44,7 +44,7 @@ class StopCriterion:
 
 
 def merge_criteria(rules: list[StopCriterion | None]) -> StopCriterion | None:
-    """The rule of runs that end together, each of which has one of these."""
+    """The common criterion of runs that end together, from the criterion of each."""
     all_of = [rule for rule in rules if rule is not None]
     if not all_of:
         return None
@@ -55,8 +55,8 @@ def merge_criteria(rules: list[StopCriterion | None]) -> StopCriterion | None:
 def build_criterion(
     scene: Scene, system: System, settling: int, samples_per_block: int
 ) -> StopCriterion | None:
-    """The rule of a scene, None if its runs go on to the end. settling: samples before the release.
-    Raises SceneError.
+    """The criterion of a scene, None if its runs last to the end. settling: samples before the
+    release. Raises SceneError.
     """
     if not scene.run.until_settled:
         return None

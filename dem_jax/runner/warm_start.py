@@ -1,6 +1,4 @@
-"""Portions that settled otherwise than they fall: one and the same heap, released into other
-materials.
-"""
+"""Warm start: one settled heap, released with other material parameters."""
 
 from dataclasses import replace
 
@@ -14,8 +12,7 @@ from dem_jax.runner.progress import Progress
 
 
 def start_from_heap(job: Job, settling: Job) -> Job:
-    """The job, begun at its release with the heaps of another: their pieces, and the contacts that
-    they have.
+    """The job, started at its release from the heaps of another job: pieces and contacts.
 
     Both are of the same pieces, walls and seeds. Raises SceneError and SimulationError if the other
     cannot settle.

@@ -133,9 +133,7 @@ def _number_edges(faces: np.ndarray) -> np.ndarray:
 
 
 def _label_surfaces(faces: np.ndarray) -> np.ndarray:
-    """[F] number of the surface that each facet is of; facets that share an edge, however many, are
-    of one.
-    """
+    """[F] number of the surface of each facet; all facets that share an edge belong to one surface."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -164,7 +162,7 @@ def _has_single_shell(faces: np.ndarray) -> bool:
 
 def _volume_sign(mesh: "trimesh.Trimesh", faces: np.ndarray) -> int:
     """1 for a closed surface that looks outwards, -1 for one that looks inwards, 0 for an open one
-    and one that holds nothing.
+    and one without volume.
     """
     if not _is_balanced(faces):
         return 0
@@ -176,7 +174,7 @@ def _volume_sign(mesh: "trimesh.Trimesh", faces: np.ndarray) -> int:
 
 
 def _signed_volume(mesh: "trimesh.Trimesh", faces: np.ndarray) -> float:
-    """(m3) that facets hold, negative where they look inwards."""
+    """Volume (m3) inside facets, negative if they look inwards."""
     corners = np.asarray(mesh.vertices)[faces]
     corners = corners - corners.reshape(-1, 3).mean(axis=0)
     return float((corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum()) / 6.0
@@ -202,8 +200,8 @@ def _make_single_body(mesh: "trimesh.Trimesh", closed: np.ndarray, sign: int) ->
 
 
 def _unite_bodies(mesh: "trimesh.Trimesh", closed: np.ndarray, source: str | Path) -> ClosedBodies:
-    """The bodies of several closed surfaces: those that meet united, cavities cut out of the bodies
-    that they are in.
+    """The bodies of several closed surfaces: bodies that meet are united, and cavities are cut out
+    of the bodies around them.
     """
     import trimesh
     from manifold3d import Manifold, OpType

@@ -99,8 +99,8 @@ def find_closed_sides(faces: Sequence[Loop]) -> list[tuple[int, int]] | None:
 
 
 def corner_bulge(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """How far [k] (m) each corner of a loop [k, 3] is out of the line between its neighbours;
-    negative if reflex.
+    """Distance [k] (m) by which each corner of a loop [k, 3] is outside the line between its
+    neighbours; negative if reflex.
     """
     before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
     chord = np.linalg.norm(before + after, axis=1)

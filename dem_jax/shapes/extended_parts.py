@@ -1,5 +1,5 @@
-"""Parts that others of the same body continue: how much further the body goes, and which edges of a
-part are its own.
+"""Parts that others of the same body continue: the extension of the body beyond a part, and the
+edges that are its own.
 
 Against such a part depth and normal of a contact are found with a convex polytope that holds the
 part and more of the body: nothing is pushed out across a joint. Host side, float64, SI.
@@ -89,8 +89,8 @@ def _extend_part(part: ConvexPart, others: list[ConvexPart]) -> Shape:
 
 
 def _height_above(points: np.ndarray, parts: Sequence[ConvexPart]) -> np.ndarray:
-    """How far [P] (m) points [P, 3] are above the highest face of the part that they are least
-    above; inside, negative.
+    """Height [P] (m) of points [P, 3] above the highest face of a part, the least over all parts;
+    negative inside.
     """
     heights = [
         (points @ normals.T - offsets).max(axis=1) for normals, offsets in map(face_planes, parts)
@@ -124,7 +124,7 @@ def _outer_planes(part: ConvexPart) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _polytope_vertices(normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Vertices [V, 3] (m) of where all normals . x <= offsets; the origin is inside."""
+    """Vertices [V, 3] (m) of the polytope where all normals . x <= offsets; the origin is inside."""
     from scipy.spatial import HalfspaceIntersection
 
     size = offsets.min()
@@ -143,7 +143,7 @@ def _hull_about_origin(points: np.ndarray) -> Shape:
 def _measure_open_edges(
     part: ConvexPart, others: list[ConvexPart]
 ) -> tuple[tuple[float, ...], ...]:
-    """Continued.open."""
+    """``Continuation.open_edges`` of a part."""
     away = BESIDE_DISTANCE * part.shape.bounding_radius
     along = ((np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS)[None, :, None]
     out = []

@@ -45,9 +45,8 @@ def find_hull_faces(points: Any) -> tuple[np.ndarray, tuple[Loop, ...]]:
 
 
 def _merge_hull_faces(points: np.ndarray, size: float) -> tuple[Loop, ...]:
-    """Faces of the hull of points. Where points are scattered by about TOLERANCE about a plane,
-    which of its facets are one face is not certain: the first choice is taken that makes convex
-    faces which close.
+    """Faces of the hull of points. If points scatter by about TOLERANCE about a plane, the merging
+    of its facets is ambiguous; the first choice is taken that gives convex faces that close.
     """
     tolerance = TOLERANCE * size
     facets = _triangulate_hull(points, size)

@@ -21,7 +21,7 @@ class Moments(NamedTuple):
     second: np.ndarray
 
     def plus(self, other: "Moments", sign: float = 1.0) -> "Moments":
-        """The moments of both together, about the same origin; sign -1.0 takes the other away."""
+        """Sum of both moments about the same origin; sign -1.0 subtracts the other."""
         return Moments(
             self.volume + sign * other.volume,
             self.first + sign * other.first,

@@ -78,7 +78,7 @@ def read_body(path: str | Path, unit: float = 1.0) -> MeshBody:
 
 
 def _count_surfaces(mesh: "trimesh.Trimesh") -> int:
-    """How many surfaces facets make that share edges; edges of more than two facets do not connect."""
+    """Number of surfaces of facets that share edges; edges of more than two facets do not connect."""
     import trimesh
 
     adjacent = trimesh.graph.face_adjacency(np.asarray(mesh.faces))
@@ -150,8 +150,8 @@ def _make_valid_manifold(vertices: np.ndarray, faces: np.ndarray, path: str | Pa
 
 
 def _split_solids(whole: "Manifold") -> tuple[list["Manifold"], list[tuple[int, "Manifold"]], int]:
-    """Bodies, cavities with the body that each is in, all with positive volume, and how many bodies
-    were inside out.
+    """Bodies, cavities with the body that each is in, all with positive volume, and the number of
+    bodies that were inside out.
 
     A surface that looks inwards bounds a cavity if a body holds all of it; else it is a body that
     is inside out.

@@ -60,7 +60,7 @@ def has_open_edges(faces: np.ndarray) -> bool:
 
 
 def _count_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges [E, 2], how many facets each borders [E], and the edge of each side of each facet [F,
+    """Edges [E, 2], the number of facets at each [E], and the edge of each side of each facet [F,
     3].
     """
     sides = np.sort(np.asarray(faces)[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -270,8 +270,8 @@ def _adjacent_facets(faces: np.ndarray) -> np.ndarray:
 
 
 def _keep_majority(mesh: "trimesh.Trimesh", before: np.ndarray) -> int:
-    """Turn back each surface of which most facets were turned; how many facets look the other way
-    than before.
+    """Turn back each surface of which most facets were turned; returns the number of facets that
+    are turned now.
     """
     import trimesh
 

@@ -90,8 +90,8 @@ def _list_neighbours(count: int, pairs: set[tuple[int, int]]) -> list[list[int]]
 def _is_covered(
     loop: np.ndarray, normal: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]], near: float
 ) -> bool:
-    """Whether others (normals, offsets) hold all points of a face with matter outside it: below
-    their faces that look the same way, not flush with them.
+    """Whether other polytopes (normals, offsets) cover all points of a face with material outside
+    it: the points are below, not flush with, their faces that look the same way.
     """
     left = [loop]
     perimeter = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1).sum()
@@ -212,8 +212,8 @@ def _select_near_faces(a: ConvexPart, b: ConvexPart, near: float) -> tuple[np.nd
 def _find_segment_middles(
     start: np.ndarray, end: np.ndarray, local: list[tuple[np.ndarray, np.ndarray]], near: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Points between which nothing changes along a line: the middles between its crossings with
-    faces; and its direction.
+    """Middles between the crossings of a line with faces, where nothing else changes, and the
+    line's direction.
     """
     length = float(np.linalg.norm(end - start))
     along = (end - start) / length
@@ -264,7 +264,7 @@ def _is_without_notch(
 
 
 def _count_gaps(filled: np.ndarray, arcs: np.ndarray, flat: float) -> int:
-    """How many stretches of a circle of arcs (rad) are not filled, each wider than flat."""
+    """Number of unfilled gaps in a circle of arcs (rad) that are wider than flat."""
     first = int(np.argmax(filled))
     filled, arcs = np.roll(filled, -first), np.roll(arcs, -first)
     stretch = np.cumsum(filled)[~filled]

@@ -70,7 +70,7 @@ def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
 
 
 def support_distances(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """How far [F] (m) points [P, 3] (m) reach along each normal [F, 3]."""
+    """Support distances [F] (m) of points [P, 3] (m) along normals [F, 3]."""
     some = max(1, MOST_AT_ONCE // len(points))
     return np.concatenate(
         [(points @ normals[k : k + some].T).max(axis=0) for k in range(0, len(normals), some)]

@@ -171,9 +171,7 @@ def surface_mesh(
 def convex_surface_mesh(
     shape: Shape, subdivisions: int = 2
 ) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
-    """Vertices [V, 3] (m) and faces of a convex shape; a sphere is an icosahedron subdivided so
-    often.
-    """
+    """Vertices [V, 3] (m) and faces of a convex shape; a sphere is a subdivided icosahedron."""
     if shape.radius == 0.0:
         return shape.vertices, shape.faces
     import trimesh

@@ -64,8 +64,8 @@ def read_stl(path: str | Path) -> "trimesh.Trimesh":
 
 
 def find_flat_facets(mesh: "trimesh.Trimesh", path: str | Path) -> np.ndarray:
-    """[F] bool: facets without area. Raises SceneError if all are, or if one has none but for the
-    size of the mesh.
+    """[F] bool: facets without area. Raises SceneError if all are, or if one has none compared with
+    the size of the mesh.
     """
     flat = mesh.area_faces <= 1e-14 * mesh.scale**2
     if flat.all():

@@ -25,8 +25,8 @@ def face_planes(part: ConvexPart) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_overlaps(parts: Sequence[ConvexPart], near: float) -> dict[tuple[int, int], float]:
-    """How deep (m) two parts i < j overlap, for those no further apart than near (m); negative
-    where they are apart.
+    """Depths (m) by which two parts i < j overlap, for those no further apart than near (m);
+    negative where they are apart.
 
     For two polytopes it is twice the radius of the largest ball in both, which is the depth of a
     thin overlap.
@@ -44,8 +44,8 @@ def find_overlaps(parts: Sequence[ConvexPart], near: float) -> dict[tuple[int, i
 def integrate_union(
     parts: Sequence[ConvexPart], depths: dict[tuple[int, int], float], size: float
 ) -> MassProperties:
-    """Volume (m3), centre [3] (m) and inertia over mass of the union; depths: as ``find_overlaps``
-    gives them; size: (m).
+    """Volume (m3), centre [3] (m) and inertia over mass of the union; depths: from
+    ``find_overlaps``; size: (m).
 
     Overlaps of less than TOLERANCE of the size count as touching. Overlaps of polytopes are
     subtracted by inclusion and exclusion, balls by the part of their surface that is outside.
@@ -156,8 +156,8 @@ def _own_moments(part: ConvexPart, start: np.ndarray) -> Moments:
 def _integrate_polytopes(
     parts: Sequence[ConvexPart], deep: set[tuple[int, int]], start: np.ndarray
 ) -> Moments:
-    """Moments about start [3] (m) of a union of polytopes, of which those pairs overlap: inclusion
-    and exclusion.
+    """Moments about start [3] (m) of a union of polytopes by inclusion and exclusion. deep: the
+    pairs that overlap.
     """
     total = ZERO_MOMENTS
     for part in parts:

@@ -156,7 +156,7 @@ def read_wall_mesh(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> 
 
 
 def _drop_doubled(mesh: "trimesh.Trimesh") -> int:
-    """Leave out facets that are there already, and say how many."""
+    """Drop duplicate facets; returns their number."""
     faces = np.asarray(mesh.faces)
     first = faces.argmin(axis=1)
     # the same corners first in all
@@ -198,7 +198,7 @@ def _check_complete(
 
 
 def _polygon_area(polygon: np.ndarray) -> float:
-    """(m2) of a planar polygon [k, 3] (m)."""
+    """Area (m2) of a planar polygon [k, 3] (m)."""
     arms = polygon - polygon[0]
     return float(np.linalg.norm(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)) / 2.0)
 
@@ -379,7 +379,7 @@ def _is_convex(corners: np.ndarray, normal: np.ndarray, tolerance: float) -> boo
 
 
 def _winding_number(corners: np.ndarray, normal: np.ndarray) -> int:
-    """How often a loop [k, 3] winds about its normal: 1 for a simple outline."""
+    """Winding number of a loop [k, 3] about its normal: 1 for a simple outline."""
     after = np.roll(corners, -1, axis=0) - corners
     before = np.roll(after, 1, axis=0)
     turn = np.arctan2(np.cross(before, after) @ normal, (before * after).sum(axis=1))

@@ -48,7 +48,8 @@ def select_point(results: StudyResults, point: int) -> np.ndarray:
 
 
 def tabulate_points(results: StudyResults) -> tuple[list[str], list[list[str]]]:
-    """Head and rows: a row for each point, of each output the median and the band from 5 to 95 %."""
+    """Head and rows: a row for each point, with the median and the band from 5 to 95 % of each
+    output."""
     study = results.study
     heads = [
         f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs
@@ -85,8 +86,8 @@ def format_parameter(item: Any) -> str:
 
 
 def format_median(number: Metric) -> str:
-    """The median, the band where there are several values, and how many of the drops have one where
-    not all do.
+    """The median, the band where there are several values, and the number of drops that have a
+    value, unless all have one.
     """
     known = number.values[np.isfinite(number.values)]
     if not len(known):
@@ -107,7 +108,7 @@ class ReferenceComparison(NamedTuple):
 
 
 def compare_references(results: StudyResults) -> list[ReferenceComparison]:
-    """Each reference with the drops that it is of."""
+    """Compare each reference with the drops at its points."""
     found = []
     for row in results.study.reference:
         which = np.zeros(len(results.state), bool)
@@ -166,8 +167,8 @@ def _judge_reference(row: ReferenceValue, ours: Metric) -> str:
 
 
 class Influence(NamedTuple):
-    """How much an output depends on a parameter: its share of the variance by itself (first order),
-    or with few points the correlation of ranks; low, high: 90 % interval of a share, 95 % of a
+    """Influence of a parameter on an output: its share of the variance by itself (first order), or
+    with few points the correlation of ranks; low, high: 90 % interval of a share, 95 % of a
     correlation.
     """
 
@@ -222,7 +223,7 @@ def _variance_shares(
 
 
 def _rank_correlation(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-    """Spearman's, with Fisher's interval."""
+    """Spearman's rank correlation, with Fisher's interval."""
     r = float(stats.spearmanr(x, y).statistic)
     half = 1.96 * np.sqrt(1.06 / (len(x) - 3))
     low, high = np.tanh(np.arctanh(np.clip(r, -0.999999, 0.999999)) + np.array([-half, half]))
@@ -241,8 +242,8 @@ def _point_means(results: StudyResults, name: str) -> np.ndarray:
 
 
 def fit_power_laws(results: StudyResults) -> Iterator[tuple[str, str, float, float]]:
-    """(output, parameter, p, half of its 95 % interval) of outputs that go with a power p of the
-    only parameter, if its range is one of logarithms: least squares of logarithms over all drops.
+    """(output, parameter, p, half of its 95 % interval) of outputs proportional to a power p of the
+    only parameter, if its range is logarithmic: least squares of logarithms over all drops.
     """
     study = results.study
     if [parameter.log for parameter in study.parameter.values()] != [True]:
@@ -263,7 +264,7 @@ def fit_power_laws(results: StudyResults) -> Iterator[tuple[str, str, float, flo
 
 
 def describe_results(results: StudyResults) -> list[str]:
-    """Lines that say all of it."""
+    """All results as lines of text."""
     head, rows = tabulate_points(results)
     first, *others = list_findings(results)
     return [results.study.title, first, "", *align_columns([head, *rows]), *others]

@@ -1,5 +1,5 @@
-"""The work of a study: which drops are computed together, in an order that depends on the study
-alone, batch by batch.
+"""The work of a study: batches of drops that are computed together, in an order that depends only
+on the study.
 """
 
 import json
@@ -45,7 +45,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class FailedDrops:
-    """Drops that cannot be computed, and why."""
+    """Drops that cannot be computed, and the reason."""
 
     members: tuple[int, ...]
     reason: str
@@ -53,7 +53,7 @@ class FailedDrops:
 
 def list_batches(study: Study) -> Iterator[Batch | FailedDrops]:
     """All drops of a study: member number = point number * seeds + seed number. Raises SceneError
-    for a scene that cannot be.
+    for an invalid scene.
     """
     points, base = list_points(study), study.base_scene()
     differ = any(parameter_sweep.is_file_key(key) for key in study.parameter)
@@ -85,8 +85,8 @@ def list_batches(study: Study) -> Iterator[Batch | FailedDrops]:
 
 
 def _cut_members(members: list[int], seeds: int) -> list[list[int]]:
-    """Members in batches; points of many seeds each by themselves, where their drops are computed
-    side by side.
+    """Split members into batches; points of many seeds form batches of their own if their drops run
+    in parallel.
     """
     size = min(seeds, 4 * BATCH_SIZE) if seeds >= RUNS_AT_ONCE else BATCH_SIZE
     return [members[k : k + size] for k in range(0, len(members), size)]
@@ -148,7 +148,7 @@ def portion_masses(batch: Batch) -> list[np.ndarray]:
 
 
 def _find_setup_error(batch: Batch, k: int, study: Study) -> str | None:
-    """Why a drop of a batch cannot be set up; None: it can."""
+    """Reason why a drop of a batch cannot be set up; None: it can be."""
     try:
         _prepare_job(batch, [k], study)
     except SceneError as error:
@@ -174,7 +174,7 @@ def _run_ensemble(
 
 
 def _is_from_job(path: Path, job: Job) -> bool:
-    """Whether a file is of this job, and sound."""
+    """Whether a file belongs to this job and is intact."""
     try:
         header, *_ = load_restart(path)
     except RecordError:

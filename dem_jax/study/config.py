@@ -1,4 +1,4 @@
-"""A study as a person writes it: TOML, checked."""
+"""Configuration of a study: TOML, validated."""
 
 import tomllib
 from pathlib import Path
@@ -154,21 +154,21 @@ class Study(Section):
         return scene.replace(fix_piece_counts(scene)) if self.uncertain else scene
 
     def member_seed(self, member: int) -> int:
-        """The seed of a drop: points have the same seeds, but where the shares of chance and of
-        numbers are wanted.
+        """The seed of a drop: the same at all points, unless the study asks for the shares of
+        chance and of numbers.
         """
         return self.seed + (member if self.uncertain else member % self.seeds)
 
     def with_scene(self, scene: str) -> "Study":
-        """The same study of another scene: a stock scene or a .toml file, from where the process
-        is.
+        """The same study of another scene: a stock scene or a .toml file, relative to the working
+        folder.
         """
         return self.model_copy(
             update={"scene": scene, "name": f"{self.name}-{Path(scene).stem}", "folder": "."}
         )
 
     def to_toml(self) -> str:
-        """As TOML; ``load_study`` of it is the same study."""
+        """The study as TOML text, from which ``load_study`` reads the same study."""
         return tomli_w.dumps(self.model_dump(exclude_none=True, exclude={"folder", "quick"}))
 
 
@@ -211,7 +211,7 @@ def validate_study(tree: dict[str, Any], source: str | Path, quick: bool = False
 
 
 def _merge_tables(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Tables key by key, all else replaced; a parameter is replaced whole."""
+    """Merge tables key by key; other values, and each parameter as a whole, are replaced."""
     out = dict(below)
     for key, item in above.items():
         out[key] = (

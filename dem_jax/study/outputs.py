@@ -120,8 +120,8 @@ def _first_force(t: OutputTraces) -> np.ndarray:
 
 
 def _after_first_force(t: OutputTraces, when: np.ndarray) -> np.ndarray:
-    """Times (ms) of samples from the first force on; nan where ``when`` is not there (-1) or
-    nothing has landed.
+    """Times (ms) of samples from the first force on; nan where ``when`` is missing (-1) or nothing
+    has landed.
     """
     first = _first_force(t)
     known = (when >= 0) & (first < len(t.time))
@@ -262,19 +262,19 @@ OUTPUTS = {
 
 
 def select_drop_outputs(names: Iterable[str]) -> list[str]:
-    """Those outputs that are known only once something fell."""
+    """The outputs that need a simulated drop."""
     return [name for name in names if OUTPUTS[name].evaluate is not None]
 
 
 def evaluate_outputs(run: Run, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """name -> [K] of an ensemble, of those that are ``select_drop_outputs``."""
+    """name -> [K] values for an ensemble, of the outputs in ``select_drop_outputs``."""
     traces = extract_traces(run)
     found = {name: OUTPUTS[name].evaluate for name in select_drop_outputs(names)}
     return {name: np.asarray(of(traces), float) for name, of in found.items() if of is not None}
 
 
 def evaluate_portions(masses: Sequence[np.ndarray], names: Iterable[str]) -> dict[str, np.ndarray]:
-    """name -> [K] of the masses (kg) of the pieces of each run, of the other outputs."""
+    """name -> [K] values of the other outputs, from the masses (kg) of the pieces of each run."""
     found = {name: OUTPUTS[name].evaluate_portion for name in names}
     return {
         name: np.array([float(of(row)) for row in masses])

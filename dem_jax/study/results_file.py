@@ -34,7 +34,7 @@ class StudyResults:
 
     @classmethod
     def create_empty(cls, study: Study) -> "StudyResults":
-        """Nothing is done."""
+        """Results of a study without any finished drop."""
         count = len(list_points(study)) * study.seeds
         return cls(
             study,
@@ -43,12 +43,12 @@ class StudyResults:
         )
 
     def group_by_point(self, values: np.ndarray) -> np.ndarray:
-        """[M] as [points, seeds]."""
+        """Values [M] of drops as [points, seeds]."""
         return values.reshape(-1, self.study.seeds)
 
 
 def save_results(results: StudyResults, path: str | Path) -> None:
-    """Write the file anew, and put it in place of the one before. Raises RecordError."""
+    """Write a new file that replaces the former one. Raises RecordError."""
     import h5py
 
     image = io.BytesIO()

@@ -29,7 +29,7 @@ CONTRADICTION_DISTANCE = 3.0  # spreads: a number that is further from all point
 
 
 class ParameterMarginal(NamedTuple):
-    """A parameter: its quantiles LEVELS under the weights, and by the flat prior."""
+    """Marginal of a parameter: its quantiles LEVELS under the weights, and under the flat prior."""
 
     key: str
     posterior: tuple[float, ...]
@@ -37,8 +37,8 @@ class ParameterMarginal(NamedTuple):
 
 
 class ReferenceFit(NamedTuple):
-    """A published number: how many spreads our mean is from it, at the best point and at the
-    nearest of all.
+    """Fit to a published number: distance of the simulated mean from it, in spreads, at the best
+    point and at the nearest of all.
     """
 
     study: str
@@ -74,14 +74,14 @@ def compute_weights(studies: Sequence[StudyResults]) -> np.ndarray:
 
 
 def effective_sample_size(weights: np.ndarray) -> float:
-    """How many points of equal weight would say as much (Kish)."""
+    """Effective number of points of equal weight (Kish)."""
     return float(1 / np.sum(weights**2))
 
 
 def compute_marginals(
     studies: Sequence[StudyResults], weights: np.ndarray
 ) -> list[ParameterMarginal]:
-    """Each parameter that has a range."""
+    """Marginals of all parameters that have a range."""
     study, points = studies[0].study, list_points(studies[0].study)
     found = []
     for key, parameter in study.parameter.items():
@@ -97,7 +97,7 @@ def compute_marginals(
 
 
 def find_reference_fits(studies: Sequence[StudyResults], weights: np.ndarray) -> list[ReferenceFit]:
-    """Each number."""
+    """Fits to all published numbers."""
     best, found = int(np.argmax(weights)), []
     for results in studies:
         for row in _usable_references(results.study):

@@ -72,7 +72,7 @@ def draw_study_figure(results: StudyResults) -> "Figure":
 
 
 def _is_varying(results: StudyResults, name: str) -> bool:
-    """Whether an output is worth a panel: between most drops it differs."""
+    """Whether an output differs between most drops, so that it gets a panel."""
     known = results.outputs[name][(results.state == DONE) & np.isfinite(results.outputs[name])]
     if not len(known) or not results.study.parameter:
         return False

@@ -71,7 +71,7 @@ def _save_study(results: StudyResults, out: str | Path | None) -> str | None:
 def _compute_open_batches(
     results: StudyResults, out: str | Path | None, bar: "_ProgressBar", progress: bool
 ) -> None:
-    """All that is left to do, kept in the file now and then."""
+    """Compute all remaining batches, saved to the file at intervals."""
     last, cost = time.perf_counter(), 0.0
     kept = None if out is None else _batch_file(out)
     for batch in batches.list_batches(results.study):
@@ -109,8 +109,8 @@ def _open_results(table: Study, out: str | Path | None, overwrite: bool) -> Stud
 
 
 def _batch_file(out: str | Path) -> Path:
-    """Where a batch is kept while it is computed, if it takes long. Raises RecordError if something
-    else is there.
+    """File in which a batch that takes long is kept while it is computed. Raises RecordError if
+    something else is there.
     """
     path = Path(f"{out}.batch")
     if path.exists():
@@ -171,7 +171,7 @@ def _record_lost(results: StudyResults, failed: list[batches.FailedDrops]) -> No
 
 
 class _ProgressBar:
-    """Drops that are done, on stderr."""
+    """Progress bar of finished drops, on stderr."""
 
     def __init__(self, results: StudyResults, shown: bool) -> None:
         self._results = results
@@ -189,7 +189,7 @@ class _ProgressBar:
             self._bar = tqdm(total=len(results.state), initial=done, **words)
 
     def update(self) -> None:
-        """Look again."""
+        """Show the present number of finished drops."""
         if self._bar is not None:
             self._bar.update(int((self._results.state != OPEN).sum()) - self._bar.n)
 

@@ -1,4 +1,4 @@
-"""The Product Model beside the drops of a study, and how far traces are from each other."""
+"""The Product Model beside the drops of a study, and distances between traces."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ def align_traces(results: StudyResults, which: np.ndarray) -> np.ndarray:
 
 
 def simulate_model_traces(results: StudyResults, seed: int = 0) -> np.ndarray:
-    """As many traces of the Product Model as there are drops that are done, aligned alike, [K, T']
+    """Traces of the Product Model, one for each finished drop, aligned in the same way, [K, T']
     (kg).
     """
     import product_model
@@ -107,8 +107,8 @@ def _cut_before_first_force(results: StudyResults, rows: list[np.ndarray]) -> np
 
 
 def trace_distances(a: np.ndarray, b: np.ndarray | None = None, seed: int = 0) -> np.ndarray:
-    """Root mean square differences (g) of pairs of traces (kg), of a with b, or of a among
-    themselves; at most MOST_PAIRS.
+    """Root mean square differences (g) of pairs of traces (kg), between a and b or within a; at
+    most MOST_PAIRS.
     """
     pairs = [
         (i, j)

@@ -26,8 +26,8 @@ from dem_jax.visualization.variance_decomposition import (
 
 
 def fill_parameters(study: Study) -> Study:
-    """The study with the uncertain numbers of its scene as parameters of a Sobol design, where it
-    asks for them.
+    """The study with the uncertain numbers of its scene as parameters of a Sobol design, if the
+    study asks for them.
 
     Raises SceneError where the scene has none.
     """
@@ -47,8 +47,8 @@ def _uncertain_parameter(row: UncertainNumber) -> StudyParameter:
 
 
 def split_outputs(results: StudyResults) -> list[VarianceSplit]:
-    """The scatter of each output of single drops by the uncertain numbers and by chance; [] of
-    other studies.
+    """Variance split of each output of single drops into uncertain numbers and chance; [] for other
+    studies.
     """
     study = results.study
     if not study.uncertain:
@@ -86,8 +86,7 @@ def range_probabilities(parameter: StudyParameter, values: ArrayLike) -> np.ndar
 
 
 def replicate_shares(results: StudyResults) -> Iterator[VarianceShare]:
-    """The chance of the fall of each output: the share of the scatter that drops with equal numbers
-    have among themselves.
+    """Share of chance in each output: the share of the scatter among drops with equal numbers.
 
     One-way analysis of variance with random effects (Searle, Casella and McCulloch, Variance
     Components, 1992, chapter 3), over the points whose drops are all done.
@@ -117,7 +116,7 @@ def within_point_share(rows: np.ndarray) -> tuple[float, float, float]:
 
 
 def describe_study_uncertainty(results: StudyResults) -> list[str]:
-    """Shares of chance and of unknown numbers in words; [] of other studies."""
+    """Shares of chance and of unknown numbers in words; [] for other studies."""
     splits = split_outputs(results)
     lines = describe_splits(splits) if splits else []
     for row in replicate_shares(results) if results.study.uncertain else ():

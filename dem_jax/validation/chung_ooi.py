@@ -61,12 +61,12 @@ class SphereImpact:
 
     @property
     def balls(self) -> tuple[Ball, ...]:
-        """As ``solved`` has them."""
+        """The spheres for ``reference_solver.solve_impact``."""
         rows = [(self.radius, self.along, self.surface), *([self.other] if self.other else [])]
         return tuple(Ball(self.solid.density * 4 / 3 * np.pi * r**3, r, v, w) for r, v, w in rows)
 
     def contact_law(self, name: str) -> reference_solver.NormalLaw:
-        """Normal and tangential law of that contact, from the material."""
+        """Normal and tangential law of the contact, from the material."""
         balls, e = self.balls, self.restitution
         mass = 1 / sum(1 / b.mass for b in balls)
         modulus, nu = self.solid.youngs_modulus, self.solid.poisson_ratio
@@ -108,7 +108,7 @@ def _damping_ratio(restitution: float, guess: float) -> float:
 
 
 def build_problems(law: str, tests: Iterable[int] = range(1, 9)) -> list[Problem]:
-    """Those of some of the tests, with a law of ``LAWS``."""
+    """The problems of some of the tests, with a law of ``LAWS``."""
     return [_build_problem(law, *_list_tests()[n]) for n in tests]
 
 
@@ -284,7 +284,7 @@ def _impact_scene(law: str, i: SphereImpact, duration: float, touch: float) -> S
 def _read_impacts(
     impacts: list[SphereImpact], compared: tuple[str, ...], run: Run
 ) -> ComparedValues:
-    """From the last frame, and the peaks of every step."""
+    """Read impacts from the last frame and the peaks over all steps."""
     frames = run.pieces
     assert frames is not None
     # [K, N, 3]
@@ -310,8 +310,9 @@ def _read_impacts(
 def _compare_impacts(
     impacts: list[SphereImpact], after: list[ImpactResult], compared: tuple[str, ...]
 ) -> ComparedValues:
-    """Restitution, peak force (N), largest overlap (m), effect of friction over mu (1 + e) v_n:
-    along, and of the surface over 5/2 of it, by which a sphere that slides throughout has both 1.
+    """Restitution, peak force (N), largest overlap (m), and the effects of friction: change of the
+    tangential speed over mu (1 + e) v_n, and of the surface speed over 5/2 of that, so that both
+    are 1 for a sphere that slides throughout.
     """
     unit = np.array([i.friction * (1 + i.restitution) * i.speed for i in impacts])[:, None]
     before = [np.array([[b.along, b.surface] for b in i.balls]) for i in impacts]

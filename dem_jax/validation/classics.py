@@ -158,7 +158,7 @@ def spinning_problem() -> Problem:
 
 
 def _read_spins(run: Run) -> ComparedValues:
-    """In body axes, over a period."""
+    """Spins in body axes, over a period."""
     assert run.pieces is not None
     turn = quaternion_to_matrix(np.asarray(run.pieces.orientation[:, 0], float))
     return {
@@ -210,7 +210,7 @@ def _angular_decelerations() -> dict[str, float]:
 
 
 def _read_turns(run: Run) -> ComparedValues:
-    """Spin about the vertical while it lasts."""
+    """Spins about the vertical while they last."""
     assert run.pieces is not None
     spin, time = (
         np.asarray(run.pieces.angular_velocity[:, :, 2], float),

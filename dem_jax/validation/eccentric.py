@@ -22,12 +22,12 @@ class EccentricImpact:
 
     @property
     def moment_arm(self) -> np.ndarray:
-        """r x n (m)."""
+        """Moment arm r x n (m)."""
         return np.cross(self.arm, self.normal)
 
     @property
     def effective_mass(self) -> float:
-        """(kg)."""
+        """Effective mass (kg) of the contact."""
         return 1 / float(
             1 / self.mass + self.moment_arm @ np.linalg.solve(self.inertia, self.moment_arm)
         )
@@ -39,22 +39,22 @@ class EccentricImpact:
 
     @property
     def impulse(self) -> float:
-        """(N s)."""
+        """Impulse of the impact (N s)."""
         return (1 + self.restitution) * self.effective_mass * self.speed
 
     @property
     def velocity_after(self) -> np.ndarray:
-        """[3] (m/s)."""
+        """Velocity [3] (m/s) after the impact."""
         return self.velocity + self.impulse / self.mass * self.normal
 
     @property
     def spin_after(self) -> np.ndarray:
-        """[3] (rad/s)."""
+        """Spin [3] (rad/s) after the impact."""
         return self.spin + np.linalg.solve(self.inertia, self.impulse * self.moment_arm)
 
     @property
     def peak_force(self) -> float:
-        """(N)."""
+        """Peak force (N)."""
         return self.speed * np.sqrt(self.effective_mass * self.stiffness)
 
     @property

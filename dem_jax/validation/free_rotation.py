@@ -21,12 +21,12 @@ class FreeRotation:
 
     @property
     def twice_energy(self) -> float:
-        """2 E (J)."""
+        """Twice the energy, 2 E (J)."""
         return sum(i * w * w for i, w in zip(self.moments, self.spin, strict=True))
 
     @property
     def momentum_squared(self) -> float:
-        """L2 (kg2 m4/s2)."""
+        """Square L2 of the angular momentum (kg2 m4/s2)."""
         return sum((i * w) ** 2 for i, w in zip(self.moments, self.spin, strict=True))
 
     def _order_moments(self) -> tuple[tuple[float, float, float], bool]:
@@ -56,7 +56,7 @@ class FreeRotation:
 
     @property
     def period(self) -> float:
-        """(s)."""
+        """Period of the rotation (s)."""
         from scipy.special import ellipk
 
         rate, m, _ = self._elliptic_parameters()

@@ -33,22 +33,22 @@ class NormalImpact:
 
     @property
     def static_overlap(self) -> float:
-        """m g / K_nl (m)."""
+        """Static overlap m g / K_nl (m)."""
         return self.mass * self.gravity / self.stiffness
 
     @property
     def largest_overlap(self) -> float:
-        """(m)."""
+        """Largest overlap (m)."""
         return self.static_overlap + np.hypot(self.static_overlap, self.speed / self.frequency)
 
     @property
     def peak_force(self) -> float:
-        """(N)."""
+        """Peak force (N)."""
         return self.stiffness * self.largest_overlap
 
     @property
     def loading_time(self) -> float:
-        """From first touch to the largest overlap (s)."""
+        """Time (s) from first touch to the largest overlap."""
         return (
             np.pi / 2 + np.arctan(self.gravity / (self.frequency * self.speed))
         ) / self.frequency
@@ -65,7 +65,7 @@ class NormalImpact:
 
     @property
     def unloading_time(self) -> float:
-        """From the largest overlap to the switch to the separation branch (s)."""
+        """Time (s) from the largest overlap to the switch to the separation branch."""
         middle = self.residual_overlap + self.restitution**2 * self.static_overlap
         swing = np.arccos((self.switch_overlap - middle) / (self.largest_overlap - middle))
         return self.restitution * swing / self.frequency
@@ -79,7 +79,7 @@ class NormalImpact:
 
     @property
     def rebound_speed(self) -> float:
-        """At separation (m/s); nan where the piece does not separate."""
+        """Speed at separation (m/s); nan where the piece does not separate."""
         work = (
             self.separation * (self.frequency * self.switch_overlap) ** 2
             - 2 * self.gravity * self.switch_overlap
@@ -118,24 +118,24 @@ class DashpotImpact:
 
     @property
     def loading_time(self) -> float:
-        """From first touch to the largest overlap (s); the contact lasts twice as long."""
+        """Time (s) from first touch to the largest overlap; the contact lasts twice as long."""
         phase, root = self._phase_and_root
         return phase / root / self.frequency
 
     @property
     def restitution(self) -> float:
-        """Speed after over speed before."""
+        """Restitution: speed after over speed before the impact."""
         phase, root = self._phase_and_root
         return np.exp(-2 * self.ratio * phase / root)
 
     @property
     def largest_overlap(self) -> float:
-        """(m)."""
+        """Largest overlap (m)."""
         phase, root = self._phase_and_root
         return self.speed / self.frequency * np.exp(-self.ratio * phase / root)
 
     def force(self, time: TimeValues) -> TimeValues:
-        """(N) at times (s) since first touch, while it lasts."""
+        """Force (N) at times (s) since first touch, during the contact."""
         z, root = self.ratio, self._phase_and_root[1]
         phase = root * self.frequency * time
         wave = 2 * z * np.cos(phase) + (1 - 2 * z * z) / root * np.sin(phase)
@@ -143,8 +143,8 @@ class DashpotImpact:
 
     @property
     def peak_force(self) -> float:
-        """(N): where its derivative vanishes; from zeta = 1/2 on that of the dashpot at first
-        touch.
+        """Peak force (N), where its derivative vanishes; from zeta = 1/2 on that of the dashpot at
+        first touch.
         """
         z, root = self.ratio, self._phase_and_root[1]
         phase = np.arctan2(root * (1 - 4 * z * z), z * (3 - 4 * z * z)) if z < 0.5 else 0.0
@@ -163,17 +163,17 @@ class HertzImpact:
 
     @property
     def largest_overlap(self) -> float:
-        """(m)."""
+        """Largest overlap (m)."""
         return (1.25 * self.mass * self.speed**2 / self.stiffness) ** 0.4
 
     @property
     def peak_force(self) -> float:
-        """(N)."""
+        """Peak force (N)."""
         return self.stiffness * self.largest_overlap**1.5
 
     @property
     def loading_time(self) -> float:
-        """From first touch to the largest overlap (s): half of the contact's."""
+        """Time (s) from first touch to the largest overlap: half of the contact time."""
         from scipy.special import beta
 
         return 0.4 * beta(0.4, 0.5) * self.largest_overlap / self.speed
@@ -193,7 +193,7 @@ class ElasticPlasticImpact:
 
     @property
     def yield_overlap(self) -> float:
-        """(m)."""
+        """Overlap at yield (m)."""
         return self.radius * (np.pi * self.pressure / (2 * self.modulus)) ** 2
 
     @property
@@ -204,7 +204,7 @@ class ElasticPlasticImpact:
 
     @property
     def restitution(self) -> float:
-        """Thornton's closed form of the speed over that of yield."""
+        """Restitution by Thornton's closed form in the speed over the yield speed."""
         slowness = self.yield_speed / self.speed
         if slowness >= 1:
             return 1.0
@@ -213,7 +213,7 @@ class ElasticPlasticImpact:
 
     @property
     def peak_force(self) -> float:
-        """(N): by the energy of Hertz's part and of the straight one beyond it."""
+        """Peak force (N), from the energy of the Hertzian part and of the linear part beyond it."""
         edge, slope = self.yield_overlap, np.pi * self.pressure * self.radius
         energy, start = 0.5 * self.mass * self.speed**2, 2 / 3 * slope * edge
         if energy <= 0.4 * start * edge:

@@ -38,7 +38,7 @@ class ObliqueImpact:
 
     @property
     def gripping_ratio(self) -> float:
-        """Speed of the contact point after over before, of an impact that never slides (mu to
+        """Speed of the contact point after over before an impact that never slides (mu to
         infinity).
         """
         return np.cos(np.pi / 2 * (1 + self.restitution) * np.sqrt(3.5 * self.tangential))

@@ -43,7 +43,7 @@ class Problem:
         return {name: self.relative_error(found, exact, name) for name in self.bounds}
 
     def relative_error(self, one: ComparedValues, other: ComparedValues, name: str) -> float:
-        """The error of one if the other is taken for exact."""
+        """Error of one value relative to the exact other."""
         a, b = np.asarray(one[name]), np.asarray(other[name])
         return float(np.abs(a - b).max()) / (self.scale.get(name) or float(np.abs(b).max()))
 
@@ -95,6 +95,6 @@ def solve_problem(problem: Problem, precision: str = "f64", finer: int = 1) -> S
 
 
 def _automatic_step(scene: Scene) -> float:
-    """(s)"""
+    """Automatic time step (s) of a scene."""
     with jax.enable_x64(scene.run.precision == "f64"):
         return assembly.assemble_system(scene).step.dt

@@ -27,20 +27,20 @@ class NormalLaw(Protocol):
     """
 
     def force(self, s: Real, v: Real, branch: int) -> Real:
-        """(N)."""
+        """Normal force (N)."""
 
     def force_rate(self, s: Real, v: Real, a: Real, branch: int) -> Real:
         """Rate of the force (N/s). a: (m/s2) of the overlap."""
 
     def branch_end(self, s: Real, v: Real, branch: int) -> Real:
-        """Falls through zero where the branch ends."""
+        """A function that falls through zero where the branch ends."""
 
     def next_branch(self, s: Real, v: Real, branch: int) -> "tuple[NormalLaw, int | None]":
         """The law and the branch that follow; None: the bodies part."""
 
     def tangential_response(self, s: Real, v: Real) -> tuple[Real, Real]:
-        """K_t (N/m), and the relative rate (1/s) at which a spring's force goes with the contact's
-        stiffness.
+        """K_t (N/m), and the relative rate (1/s) at which a spring's force follows the stiffness of
+        the contact.
         """
 
 
@@ -191,7 +191,7 @@ class _Equations:
         return self.friction * self.law.force_rate(y[0], y[1], acceleration, self.branch)
 
     def sliding_sense(self, y: np.ndarray) -> int:
-        """0: the spring grips; else the sign of the force of one that slides."""
+        """Sign of the force of a sliding spring; 0: the spring grips."""
         pull = self.grip_force_rate(y)
         sign = int(np.sign(y[2] or pull))
         slides = abs(y[2]) >= self.friction_limit(y) * (1 - 1e-8) and sign * pull > self.limit_rate(
@@ -213,8 +213,8 @@ class _Equations:
         )
 
     def list_events(self, sense: int) -> list[Callable[..., float]]:
-        """Each falls through zero: where the branch ends; where the spring grips, or slides either
-        way.
+        """Event functions, each of which falls through zero: at the end of the branch, and where
+        the spring grips or slides either way.
         """
         found = [lambda y: self.law.branch_end(y[0], y[1], self.branch)]
         if sense:
@@ -228,7 +228,7 @@ class _Equations:
 
 
 def _terminal_event(event: Callable[[np.ndarray], float]) -> Callable[..., float]:
-    """An event as scipy has it."""
+    """A terminal event in scipy's form."""
     watched = lambda _, y, sense: event(y)
     watched.terminal, watched.direction = True, -1  # type: ignore[attr-defined]
     return watched
@@ -292,8 +292,8 @@ def solve_impact(
 
 
 def _next_equations(now: _Equations, y: np.ndarray) -> _Equations | None:
-    """On the branch that follows, or None where the bodies part; branches that end where they begin
-    are passed by.
+    """Equations on the next branch, or None where the bodies part; branches that end where they
+    begin are skipped.
     """
     law, branch = now.law.next_branch(y[0], y[1], now.branch)
     while branch is not None and law.branch_end(y[0], y[1], branch) <= 0:
@@ -302,9 +302,7 @@ def _next_equations(now: _Equations, y: np.ndarray) -> _Equations | None:
 
 
 def _initial_state(now: _Equations, speed: float, motion: np.ndarray) -> np.ndarray:
-    """The state at a first overlap, far below all that follow, and along with it the spring's first
-    force.
-    """
+    """The state at a first overlap far below all later ones, with the spring's first force."""
     y = np.concatenate([[1e-12 * now.radius.min(), speed, 0.0], motion])
     spring = -now.law.tangential_response(y[0], speed)[0] * now.slip_speed(y) * y[0] / speed
     y[2] = np.clip(spring, -now.friction_limit(y), now.friction_limit(y))
@@ -312,13 +310,14 @@ def _initial_state(now: _Equations, speed: float, motion: np.ndarray) -> np.ndar
 
 
 def _longest_duration(now: _Equations) -> float:
-    """A time (s) that no impact lasts: 25 periods of an overlap of a thousandth of the radius."""
+    """Upper bound (s) of the duration of an impact: 25 periods of an overlap of a thousandth of the
+    radius."""
     small = 1e-3 * now.radius.min()
     return float(50 * np.pi * np.sqrt(now.effective_mass * small / now.law.force(small, 0.0, 0)))
 
 
 def _absolute_tolerances(now: _Equations, speed: float, motion: np.ndarray) -> np.ndarray:
-    """Errors of overlap, its rate, the spring and the motion that do not count."""
+    """Absolute tolerances of overlap, its rate, the spring and the motion."""
     small, count = now.radius.min(), len(now.mass)
     fastest = max(speed, float(np.abs(motion[:count]).max()))
     force = now.effective_mass * speed**2 / (1e-2 * small)  # of an overlap of a hundredth of the

@@ -1,4 +1,4 @@
-"""Spheres in a row that hand on momentum."""
+"""Rows of spheres that transfer momentum."""
 
 from typing import Any
 
@@ -20,13 +20,13 @@ def contact_stiffness() -> float:
 
 
 def sphere_mass() -> float:
-    """(kg)."""
+    """Mass of a sphere (kg)."""
     return DENSITY * 4 / 3 * np.pi * RADIUS**3
 
 
 def cradle_problem() -> Problem:
-    """Newton's cradle without gravity, elastic: one sphere or two come along and as many leave; and
-    a row that touches, in which no sphere is alone when it transfers its momentum.
+    """Newton's cradle without gravity, elastic: one or two spheres arrive and as many leave; also a
+    touching row, in which no sphere is alone when it transfers its momentum.
     """
     overlap = SPEED * np.sqrt(0.5 * sphere_mass() / contact_stiffness())
     quarter = 0.5 * np.pi * np.sqrt(0.5 * sphere_mass() / contact_stiffness())

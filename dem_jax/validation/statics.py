@@ -169,7 +169,7 @@ def _place_in_groove(shape: str, size: float, slopes: tuple[float, float]) -> di
 
 
 def _read_side_forces(weight: float, run: Run) -> ComparedValues:
-    """Means over the later half of the time, over the weight: [2, 3]."""
+    """Side forces over the weight, means over the second half of the time: [2, 3]."""
     late = len(run.time) // 2
     force = [
         np.asarray(run.mean_force[name], float)[late:].mean(axis=0) for name in ("left", "right")

@@ -1,5 +1,5 @@
-"""A system with other numbers, and its motion step by step, for comparison with closed forms of
-single contacts.
+"""A system with changed parameters, and its motion step by step, for comparison with closed forms
+of single contacts.
 """
 
 from collections.abc import Callable
@@ -32,8 +32,8 @@ def plate_scene(
 
 
 def with_permanent_pairs(system: System) -> System:
-    """The system with every pair a candidate for good, so that one rebuild is enough however far
-    pieces go.
+    """The system with all pairs as permanent candidates, so that one rebuild is enough for any
+    motion.
     """
     return system.replace(skin=jnp.full_like(system.skin, 10.0))
 
@@ -62,8 +62,8 @@ def wall_stiffness(system: System) -> Array:
 
 
 def with_finer_steps(system: System, times: int) -> System:
-    """The system with several steps in place of one; rebuilds after as many steps as before, so
-    that it is the same program, unless a sample is longer than that.
+    """The system with several steps in place of one. The number of steps between rebuilds and thus
+    the program stay the same, unless a sample has more steps.
     """
     substeps = system.substeps * times
     return system.replace(

@@ -1,4 +1,4 @@
-"""Pictures one after another as a file that plays: GIF, or MP4 by ffmpeg."""
+"""Animations from a series of pictures: GIF, or MP4 by ffmpeg."""
 
 import io
 import subprocess
@@ -31,7 +31,7 @@ def write_animation(pictures: Iterable[np.ndarray], path: Path, fps: float) -> P
 
 
 def _encode_gif(pictures: Iterable[np.ndarray], fps: float) -> memoryview:
-    """It loops."""
+    """Encode pictures as a GIF that loops."""
     from PIL import Image
 
     first, *rest = (Image.fromarray(p).quantize(256, dither=Image.Dither.NONE) for p in pictures)
@@ -43,7 +43,7 @@ def _encode_gif(pictures: Iterable[np.ndarray], fps: float) -> memoryview:
 
 
 def _encode_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float) -> bytes:
-    """H.264, of the name ``path``, which takes even sizes only: the last row and column may be left
+    """Encode pictures as MP4 (H.264), which needs even sizes: the last row and column may be left
     out.
     """
     try:
@@ -63,7 +63,7 @@ def _encode_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float) -> bytes
 
 
 def _run_ffmpeg(ffmpeg_program: str, pictures: Iterator[np.ndarray], path: Path, fps: float) -> str:
-    """Have ffmpeg make the file; returns its complaint, "" if it has none."""
+    """Run ffmpeg; returns its error message, "" without an error."""
     first = next(pictures)
     size = f"{first.shape[1]}x{first.shape[0]}"
     taken = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{fps:g}", "-i", "-"]

@@ -43,7 +43,7 @@ class Heap(NamedTuple):
 
 
 def describe_heap(run: Run) -> str | None:
-    """The heap in the weigh bucket of a run, or of the first of an ensemble, in words; None: see
+    """Describe the heap in the weigh bucket of a run, or of the first run of an ensemble; None: see
     ``find_heap``.
     """
     first = run if run.run_count is None else run.member(0)
@@ -56,9 +56,8 @@ def describe_heap(run: Run) -> str | None:
 
 
 def find_heap(run: Run) -> Heap | None:
-    """The heap in the weigh bucket at the last stored poses of a single run; None of a scene
-    without a weigh bucket, of one that opens, of a run without poses, and of a bucket that holds
-    nothing.
+    """The heap in the weigh bucket at the last stored poses of a single run; None for a scene
+    without a weigh bucket or with one that opens, a run without poses, and an empty bucket.
     """
     scene = parse_scene(run.scene, "the file's scene")
     bucket = scene.weigh_bucket
@@ -118,7 +117,7 @@ def _measure_heap(
 def _transform_faces(
     shape: Shape, position: np.ndarray, orientation: np.ndarray
 ) -> list[np.ndarray]:
-    """The faces of a piece, each [k, 3] (m)."""
+    """Faces of a piece at its pose, each [k, 3] (m)."""
     points, faces = surface_mesh(shape)
     placed = points @ quaternion_to_matrix(orientation).T + position
     return [placed[list(face)] for face in faces]

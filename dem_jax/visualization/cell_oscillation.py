@@ -56,8 +56,8 @@ def find_cell_oscillation(run: Run) -> CellOscillation | None:
 
 
 def end_window_samples(run: Run) -> int | None:
-    """Samples of the whole periods of the load cell that cover the last tenth of a run; None: there
-    is no load cell, or a period is longer than the run.
+    """Number of samples in the whole periods of the load cell that cover the last tenth of a run;
+    None: there is no load cell, or a period is longer than the run.
     """
     period, count = _find_period(run), len(run.time)
     if period is None:
@@ -89,8 +89,8 @@ def _find_period(run: Run) -> np.ndarray | None:
 def _mean_over_periods(
     weight: np.ndarray, settled: np.ndarray, sample: float, period: float
 ) -> tuple[float, float, int]:
-    """Mean (kg) of readings [T] over the last whole periods (s), half of their range (kg), and how
-    many periods that is.
+    """Mean (kg) of readings [T] over the last whole periods (s), half of their range (kg), and the
+    number of periods.
 
     Those since the settled mass [T] (kg) has its final value, but at least one.
     """

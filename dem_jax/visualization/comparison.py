@@ -1,5 +1,5 @@
-"""Runs and ensembles beside each other: by how much their numbers differ, and whether that is
-beyond chance.
+"""Comparison of runs and ensembles: differences of their metrics, and whether they are beyond
+chance.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ BOOTSTRAP_SAMPLES = 1000  # times that an ensemble is drawn anew from itself
 
 
 class MetricDifference(NamedTuple):
-    """By how much a number of one run is above that of another.
+    """Difference of a metric of one run from that of another.
 
     by: difference of the medians, in unit. low, high: its 5 to 95 % interval; nan of two single
     runs. relative: by over the size of the other's median; nan if that is 0.
@@ -37,14 +37,14 @@ class MetricDifference(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """Whether it is beyond chance: zero is not within the interval."""
+        """Whether the difference is beyond chance: its interval does not contain zero."""
         return bool(self.low > 0.0 or self.high < 0.0)
 
 
 def find_differences(
     this: Run, other: Run, group: str | None = None, block: str | None = None
 ) -> list[MetricDifference]:
-    """Differences of the numbers that both have. Raises RecordError as ``compute_metrics``."""
+    """Differences of the metrics that both runs have. Raises RecordError as ``compute_metrics``."""
     others = {number.name: number for number in compute_metrics(other, group, block)}
     return [
         _compare_metrics(n, others[n.name])
@@ -134,7 +134,7 @@ def _describe_difference(d: MetricDifference, name: str, first: str) -> str:
 def _summarize_differences(
     found: Sequence[MetricDifference], name: str, first: str, *runs: Run
 ) -> str:
-    """In which numbers two differ beyond chance."""
+    """The metrics in which two runs differ beyond chance, in words."""
     if all(run.run_count is None for run in runs):
         return f"{name} against {first}: one run each, so how much of this is chance is not known; ensembles tell"
     sure = [d.name for d in found if d.is_significant]

@@ -29,8 +29,8 @@ def plot_runs(
     start: float | None = None,
     end: float | None = None,
 ) -> Path:
-    """Save the figure of several runs, or of one, as PNG, PDF or SVG; see `figure_of_runs`. Returns
-    the path.
+    """Save the figure of several runs, or of one, as PNG, PDF or SVG; see `draw_comparison_figure`.
+    Returns the path.
 
     Raises RecordError as plot.plot_run.
     """
@@ -106,8 +106,8 @@ def _limit_axes(
 
 
 def _draw_masses(axes: "Axes", runs: Sequence[Run], block: str | None) -> "Axes | None":
-    """The settled masses on axes of their own at the right, of ensembles the median; None: no run
-    has a block.
+    """The settled masses on separate axes at the right, the median for ensembles; None: no run has
+    a block.
     """
     right, largest = None, 0.0
     for k, run in enumerate(runs):

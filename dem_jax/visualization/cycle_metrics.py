@@ -17,7 +17,7 @@ FILLED_BLOCKS = {"fb": "in FB", "lf": "on LF"}  # block -> words
 
 class CycleWindow(NamedTuple):
     """A cycle from when WB is shut to when it begins to open again, s from the release; before: the
-    end of the one before.
+    end of the previous cycle.
     """
 
     number: int
@@ -27,8 +27,8 @@ class CycleWindow(NamedTuple):
 
 
 def find_cycle_windows(scene: Scene, duration: float) -> list[CycleWindow]:
-    """The cycles of a scene that a run of a duration (s) goes through to their end; none of a scene
-    without.
+    """The cycles of a scene that a run of a duration (s) completes; none for a scene without
+    cycles.
     """
     cycle, found = scene.cycle, list[CycleWindow]()
     if cycle is None:
@@ -44,7 +44,7 @@ def find_cycle_windows(scene: Scene, duration: float) -> list[CycleWindow]:
 
 
 def cut_cycle_window(run: Run, window: CycleWindow) -> Run:
-    """The samples and poses of a run or an ensemble within a window, without a state to go on from."""
+    """The samples and poses of a run or an ensemble within a window, without a restart state."""
     first, last = np.searchsorted(run.time, (window.begin, window.end), side="right")
     lead = (slice(None),) * (run.run_count is not None)
     series = nest_paths(
@@ -97,7 +97,7 @@ def compute_cycle_metrics(run: Run, window: CycleWindow) -> list[Metric]:
 
 
 def _piece_flow(run: Run, window: CycleWindow) -> list[Metric]:
-    """Numbers of pieces."""
+    """Numbers of inserted and removed pieces, as metrics."""
     if "piece_count" not in run.series:
         return []
     first, last = np.searchsorted(run.time, (window.previous_end, window.end), side="right") - 1
@@ -110,7 +110,7 @@ def _piece_flow(run: Run, window: CycleWindow) -> list[Metric]:
 
 
 def describe_cycles(run: Run) -> list[str]:
-    """A line on each cycle that a run went through to its end."""
+    """A line on each completed cycle of a run."""
     windows = find_cycle_windows(parse_scene(run.scene, "the file's scene"), float(run.time[-1]))
     return [
         f"cycle {window.number}: "

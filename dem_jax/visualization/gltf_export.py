@@ -1,5 +1,5 @@
-"""A run as a 3-D model that moves, glTF 2.0: a node for each piece and each group of walls, their
-stored poses as animation.
+"""Export of a run as an animated 3-D model, glTF 2.0: a node for each piece and each group of
+walls, their stored poses as animation.
 """
 
 import base64
@@ -82,8 +82,8 @@ def _triangle_mesh(triangles: np.ndarray, colour: tuple[float, ...]) -> Any:
 
 
 def _node_poses(found: BodyMotion) -> dict[str, np.ndarray]:
-    """Name of each node -> [F or 1, 8]: position (m), quaternion x y z w, size: 1, or 0 of a piece
-    that is not there.
+    """Name of each node -> [F or 1, 8]: position (m), quaternion x y z w, size: 1, or 0 for an
+    absent piece.
     """
     pieces = np.concatenate([found.position, np.roll(found.orientation, -1, axis=-1)], axis=-1)
     walls = np.concatenate(
@@ -98,7 +98,7 @@ def _node_poses(found: BodyMotion) -> dict[str, np.ndarray]:
 
 
 def _fill_missing_poses(pose: np.ndarray) -> np.ndarray:
-    """A piece that is not there, whose pose is not a number, stays where it was, without size."""
+    """Fill the poses (nan) of absent pieces with the last known pose and size 0."""
     there = np.isfinite(pose).all(axis=1)
     latest = np.maximum.accumulate(np.where(there, np.arange(len(pose)), 0))
     known = np.nan_to_num(pose[latest])

@@ -25,8 +25,8 @@ class Instant(NamedTuple):
 
 
 def find_impact_instants(run: Run, group: str | None = None) -> list[Instant]:
-    """Instants of the largest impact, in order, of a single run with stored frames; each frame
-    stands once.
+    """Instants of the largest impact, in order, for a single run with stored frames; each frame
+    occurs once.
 
     Args:
         run: a single run.
@@ -66,8 +66,8 @@ def _find_loaded_group(run: Run) -> str | None:
 
 
 def _find_impact_start(loaded: np.ndarray, sample: float, peak: int) -> tuple[int, float]:
-    """Sample in which the impact with this peak begins, and for how long (s) the wall was unloaded
-    before.
+    """Sample in which the impact with this peak begins, and the time (s) for which the wall was
+    unloaded before.
     """
     touched = np.flatnonzero(loaded[: peak + 1])
     pauses = np.diff(touched, prepend=-1) - 1  # samples without load before each loaded one

@@ -62,7 +62,7 @@ def collect_facts(run: Run) -> dict[str, Facts]:
 
 
 def describe_stiffness(run: Run) -> str:
-    """How the peak depends on Young's modulus and NSF (eqs 5, 7 and 8), in words."""
+    """Describe the dependence of the peak on Young's modulus and NSF (eqs 5, 7 and 8)."""
     scene = parse_scene(run.scene, "the file's scene")
     nsf, power = scene.material.softening, STIFFNESS_EXPONENTS[scene.contact.law]
     words = f"E of the pieces is {_describe_moduli(build_material_table(scene))}, and NSF = {nsf:g} multiplies all moduli"
@@ -76,8 +76,8 @@ def describe_stiffness(run: Run) -> str:
 
 
 def summarize_stiffness(run: Run) -> str:
-    """E and NSF, which a peak is worth nothing without, and the power of them by which that of one
-    impact grows.
+    """E and NSF, without which a peak has no meaning, and the exponent with which the peak of one
+    impact grows with them.
     """
     scene = parse_scene(run.scene, "the file's scene")
     words = (
@@ -154,9 +154,7 @@ def find_peak_factors(scene: Scene) -> tuple[float, float] | None:
 
 
 def find_peak_band(run: Run) -> tuple[float, float] | None:
-    """``find_peak_factors`` of the scene of a run; None as well for a contact law of the user's
-    own.
-    """
+    """``find_peak_factors`` of the scene of a run; also None for a contact law of the user."""
     return (
         None if "law" in run.info else find_peak_factors(parse_scene(run.scene, "the file's scene"))
     )
@@ -211,8 +209,8 @@ def describe_portion(scene: Scene) -> str | None:
 
 
 def describe_stickiness(scene: Scene) -> list[str]:
-    """How firmly pieces of each material stick, as pull-off over the mean weight of a piece, in
-    words. Raises SceneError.
+    """Describe the stickiness of each material: pull-off force over the mean weight of a piece.
+    Raises SceneError.
     """
     goods, table = _pieces_and_materials(scene)
     rows, weight = (
@@ -238,7 +236,7 @@ def describe_stickiness(scene: Scene) -> list[str]:
 
 
 def describe_fills(scene: Scene) -> list[str]:
-    """How full the portion makes each bucket, in words; scene: its STL files read. Raises
+    """Describe how full the portion makes each bucket. scene: with its STL files read. Raises
     SceneError.
     """
     buckets = scene.feed_bucket or scene.weigh_bucket

@@ -38,7 +38,7 @@ class Metric(NamedTuple):
 
     @property
     def band(self) -> tuple[float, float]:
-        """The 5 % and the 95 % quantile of the values that there are."""
+        """The 5 % and the 95 % quantile of the known values."""
         known = self.values[np.isfinite(self.values)]
         return (
             (float(np.quantile(known, LOW)), float(np.quantile(known, HIGH)))
@@ -53,8 +53,8 @@ def list_members(run: Run) -> list[Run]:
 
 
 def compute_metrics(run: Run, group: str | None = None, block: str | None = None) -> list[Metric]:
-    """Peaks of the product impact force (kg), when (ms), time to rest (ms), mean force at the end
-    (g), settled mass (g).
+    """Peaks of the product impact force (kg) and their times (ms), time to rest (ms), mean force at
+    the end (g), settled mass (g).
 
     group, block: by default those of the weigh bucket, or the first. Metrics for which a run has no
     group or no block are left out. The force at the end is the mean over the last tenth of the
@@ -83,8 +83,8 @@ def compute_metrics(run: Run, group: str | None = None, block: str | None = None
 
 
 def _force_metrics(run: Run, group: str) -> list[Metric]:
-    """Peaks of the force (kg), the ends of their band where the modulus is known within one, and
-    when they are (ms).
+    """Peaks of the force (kg), the ends of their band if the range of the modulus is known, and
+    their times (ms).
     """
     mean = run.pif_kg(group)
     mean = mean.reshape(-1, mean.shape[-1])
@@ -138,8 +138,8 @@ def peaks_per_window(
 
 
 def peak_running_mean(run: Run, group: str, window: float) -> np.ndarray | None:
-    """[K] (kg) the largest mean of the force over a time (s); None: the run or a sample is not that
-    long.
+    """[K] (kg) the largest mean of the force over a time (s); None: the run is shorter, or a sample
+    longer, than that.
     """
     mean = run.pif_kg(group)
     mean = mean.reshape(-1, mean.shape[-1])

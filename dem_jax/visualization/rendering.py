@@ -120,7 +120,7 @@ def render_frames(
 
 
 class RenderScene(NamedTuple):
-    """All that is drawn, at all times."""
+    """The bodies to draw, at all times."""
 
     frames: Frames
     pieces: list[tuple[ConvexBody, ...]]  # the convex parts of each, in its body frame
@@ -139,7 +139,7 @@ def build_render_scene(
     camera: Camera,
     colour: str = "speed",
 ) -> RenderScene:
-    """The scene that `figure_of` draws; arguments as `render`."""
+    """The scene that `draw_frames` draws; arguments as `render_frames`."""
     if colour not in ("speed", "piece"):
         raise RecordError(f'colour = {colour!r} is unknown; allowed: "speed", "piece"')
     known: dict[int, tuple[ConvexBody, ...]] = {}
@@ -270,7 +270,7 @@ def _image_bounds(scene: RenderScene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _draw_length_bar(ax: "Axes", view: CameraView, low: np.ndarray, high: np.ndarray) -> None:
-    """A bar of round length, as long as it looks in the middle of the scene."""
+    """Draw a bar of round length, scaled as in the middle of the scene."""
     middle = view.box.mean(axis=0)
     per_metre = 1.0 / float((middle - view.eye) @ view.axes[2])
     length = _round_length(0.25 * (high[0] - low[0]) / per_metre)
@@ -290,7 +290,7 @@ def _draw_length_bar(ax: "Axes", view: CameraView, low: np.ndarray, high: np.nda
 
 
 def _round_length(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is no longer."""
+    """The largest of 1, 2, 5 times a power of ten that is not longer."""
     power = 10.0 ** np.floor(np.log10(length))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length)
 
@@ -304,7 +304,7 @@ def _draw_speed_scale(figure: "Figure", axes: "Sequence[Axes]", fastest: float) 
 
 
 def _speed_colours() -> "LinearSegmentedColormap":
-    """Cream at rest, over orange, to dark red."""
+    """Colours of speeds: cream at rest, over orange, to dark red."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list(
@@ -500,7 +500,7 @@ def _is_hiding(
     a: int,
     eye: np.ndarray,
 ) -> bool:
-    """Whether b can hide a: the eye is on b's side of the plane that parts them best."""
+    """Whether b can hide a: the eye is on b's side of the plane that separates them best."""
     between = centres[b] - centres[a]
     distance = np.linalg.norm(between)
     if distance > radii[a] + radii[b]:

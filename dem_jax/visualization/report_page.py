@@ -225,7 +225,7 @@ def _list_html(title: str, lines: Sequence[str]) -> str:
 
 
 def _table_html(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
-    """Cells are HTML; the first of each row heads it."""
+    """A table as HTML. Cells are HTML; the first of each row is its head."""
     top = f"<tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>" if any(head) else ""
     lines = [
         f"<tr><th>{row[0]}</th>{''.join(f'<td class=value>{cell}</td>' for cell in row[1:])}</tr>"
@@ -280,7 +280,7 @@ def _metric_columns(named: Sequence[NamedRun], group: str | None) -> list[dict[s
 
 
 def _peak_columns(named: Sequence[NamedRun], group: str | None) -> list[dict[str, str]]:
-    """The peak by the time that the force is averaged over."""
+    """Peaks of the force for each averaging time."""
     groups = [group or find_main_group(each.run) for each in named]
     peaks = [
         peaks_per_window(each.run, of) if of else [] for each, of in zip(named, groups, strict=True)
@@ -375,7 +375,7 @@ def _add_cursors(figure: "Figure", kind: str) -> str:
 
 
 def _stiffness_html(named: Sequence[NamedRun], group: str | None) -> str:
-    """Stiffness in words, and the peak by the time that the force is averaged over."""
+    """The stiffness in words, and the peaks of the force for each averaging time, as HTML."""
     lines = [f"<p>{escape(line)}</p>" for line in _stiffness_lines(named)]
     return "".join(lines) + _columns_html(named, _peak_columns(named, group), PEAKS_CAPTION)
 

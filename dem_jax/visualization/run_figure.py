@@ -36,8 +36,8 @@ def plot_run(
     end: float | None = None,
     title: str | None = None,
 ) -> Path:
-    """Save the figure of a run or an ensemble as PNG, PDF or SVG; see `figure_of_run`. Returns the
-    path.
+    """Save the figure of a run or an ensemble as PNG, PDF or SVG; see `draw_run_figure`. Returns
+    the path.
 
     Raises RecordError for a group or block that the run does not have, another file format and a
     file that cannot be written.
@@ -122,7 +122,7 @@ def draw_ensemble(
     label: str,
     band: str | None = None,
 ) -> None:
-    """Median over the runs [K, T] and the band from 5 to 95 %."""
+    """Draw the median over the runs [K, T] and the band from 5 to 95 %."""
     low, middle, high = np.quantile(values, [LOW, 0.5, HIGH], axis=0)
     axes.plot(ms, middle, color=colour, lw=1.3, label=f"{label}, median")
     axes.fill_between(ms, low, high, color=colour, alpha=0.2, lw=0, label=band)
@@ -150,7 +150,7 @@ def label_outer_axes(
 
 
 def add_legend(figure: "Figure", narrow: bool = False) -> None:
-    """Explain the lines below the figure, each once."""
+    """Add a legend below the figure, each line once."""
     known: dict[str, Any] = {}
     for axes in figure.axes:
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -191,7 +191,7 @@ def _draw_run(axes: "Axes", run: Run, group: str, mean: np.ndarray, span: TimeSp
 
 
 def _draw_mass(axes: "Axes", run: Run, block: str | None) -> "Axes | None":
-    """The settled mass on axes of its own at the right; None: there is no block."""
+    """Draw the settled mass on separate axes at the right; None: there is no block."""
     block = block or find_main_block(run)
     if block is None:
         return None
@@ -217,7 +217,8 @@ def settled_grams(run: Run, block: str) -> np.ndarray:
 
 
 def limit_mass_axis(right: "Axes", largest: float) -> None:
-    """From 0 to above the largest (g), so that it stays below the peak of the force and its label."""
+    """Limit the mass axis from 0 to above the largest mass (g), so that the curve stays below the
+    peak of the force and its label."""
     right.set_ylim(0.0, 1.3 * max(largest, 1e-9))
     right.spines["top"].set_visible(False)
 
@@ -243,7 +244,7 @@ def _title_with_rest(run: Run, block: str | None) -> str:
 
 
 def run_title(run: Run) -> str:
-    """Scene, pieces, SF and restitution, as far as the scene's TOML says them."""
+    """Scene, pieces, SF and restitution, as far as the scene's TOML contains them."""
     tree = tomllib.loads(run.scene)
     portion = tree.get("portion", {})
     rows = tree.get("piece") or portion.get("product") or [portion]
@@ -269,7 +270,7 @@ def check_format(path: Path, allowed: Sequence[str]) -> None:
 
 
 def save_figure(figure: "Figure", path: Path, **options: Any) -> Path:
-    """Save a figure; a path that cannot be written is a RecordError."""
+    """Save a figure. Raises RecordError for a path that cannot be written."""
     image = io.BytesIO()
     figure.savefig(image, format=path.suffix.lower().removeprefix("."), **options)
     return write_atomically(path, image.getbuffer())

@@ -131,8 +131,8 @@ def filter_drops(
 
 
 def estimate_drops(name: str, drops: Drops, rate: float, path: str) -> tuple[ScaleReadings, str]:
-    """The readings of drops by an estimator in a file of ``calibrate weigher``, and a line about
-    its error bar and its doubts.
+    """The readings of drops from the estimator in a file of ``calibrate weigher``, and a line on
+    its error bar and warnings.
 
     Raises ValueError.
     """
@@ -156,8 +156,8 @@ def estimate_drops(name: str, drops: Drops, rate: float, path: str) -> tuple[Sca
 
 
 def convert_trace(trace: WeightTrace, rate: float | None, seed: Seed = 0) -> Drops:
-    """The drops of a trace as the converter shows them, before any filter: means at a rate (1/s),
-    with the trace's noise and less its tare. Raises ValueError.
+    """The output of the converter for the drops of a trace, before any filter: means at a rate
+    (1/s), with the trace's noise and less its tare. Raises ValueError.
     """
     truth = np.atleast_1d(trace.truth)
     impact = np.atleast_1d(trace.first_impact) + draw_release_delays(trace.noise, seed, len(truth))
@@ -184,14 +184,15 @@ def _convert_signal(
 
 
 def apply_cell(trace: WeightTrace, cell: Cell) -> WeightTrace:
-    """The trace of a force as a load cell under the bucket shows it."""
+    """The reading of a load cell under the bucket for the trace of a force."""
     weight = simulate_cell(trace.weight, 1 / trace.sample, cell, trace.product, trace.gravity)
     return trace._replace(weight=weight, source=f"load cell under the {trace.source}", cell=cell)
 
 
 def tabulate_readings(rows: Sequence[ScaleReadings], tolerances: Sequence[float]) -> list[str]:
     """Lines of a table: for each of the readings and each tolerance (kg) quantiles of the times to
-    weigh (ms), since the release and since the first impact, and how many drops never are.
+    weigh (ms), since the release and since the first impact, and the number of drops that are never
+    weighed.
     """
     return _tabulate_sets([(row.name, [row]) for row in rows], tolerances)
 
@@ -227,7 +228,7 @@ def _tabulate_sets(
 
 
 def format_times(times: WeighingTimes) -> tuple[str, ...]:
-    """Cells under OF_TIMES."""
+    """Cells of a table row for times to weigh."""
     found = [1e3 * find_quantile(since, q) for since in times for q in QUANTILES]
     return *(
         f"{value:.4g}" if np.isfinite(value) else "-" for value in found

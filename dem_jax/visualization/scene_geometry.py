@@ -21,7 +21,8 @@ WallPose = Callable[[float], GroupPoses]  # of a time (s)
 
 
 def load_bodies(run: Run) -> tuple[list[Shape], dict[str, list[BodyMesh]], WallPose]:
-    """The arguments of render.render and vtk.export_vtk for a single run: shapes, walls, wall_pose.
+    """The arguments of rendering.render_frames and vtk_export.export_vtk for a single run: shapes,
+    walls, wall_pose.
 
     shapes: a Shape per piece. walls: group -> [(vertices [V, 3] (m), faces)] in the scene's rest
     pose, the first face being the touched surface. wall_pose: t (s) -> group -> (rotation [3, 3],

@@ -178,7 +178,7 @@ def impact_duration(run: Run, group: str, block: str) -> float:
 
 
 def _describe_durations(rest: RestState, block: str) -> str:
-    """How long the impact lasted, or why that is not known."""
+    """Describe the duration of the impact, or the reason why it is not known."""
     ms, why = 1e3 * rest.duration[np.isfinite(rest.duration)], rest.describe()
     if not len(ms):
         bound = rest.describe_bound() if len(rest.duration) == 1 else why

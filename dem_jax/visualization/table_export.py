@@ -124,7 +124,7 @@ def scene_table(run: Run) -> ExportTable:
 
 
 def _format_cells(cells: Iterable[TableCell]) -> list[TableCell]:
-    """Numbers with all digits that single precision has, and time's."""
+    """Format numbers with all digits of single precision, and times with theirs."""
     return [f"{cell:.9g}" if isinstance(cell, float) else cell for cell in cells]
 
 

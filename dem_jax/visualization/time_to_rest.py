@@ -1,4 +1,5 @@
-"""When the pieces came to rest in a block, and how many of them still moved when the run ended."""
+"""Times at which pieces came to rest in a block, and numbers of pieces that still moved at the end
+of the run."""
 
 from collections.abc import Callable
 from functools import cache
@@ -20,7 +21,7 @@ MASS_TOLERANCE = 1e-3  # of the lightest piece: masses that differ by less are t
 
 
 class RestState(NamedTuple):
-    """How each of K runs came to rest.
+    """Rest of each of K runs.
 
     duration: [K] (s) from the first force until the settled mass has its final value for good; nan
         where nothing landed or settled, and where something still moved when the run ended.
@@ -68,7 +69,7 @@ class RestState(NamedTuple):
 
 
 def find_rest(run: Run, group: str | None, block: str) -> RestState:
-    """How the runs of a run or an ensemble came to rest in a block.
+    """Find the rest of a run, or of each run of an ensemble, in a block.
 
     Args:
         run: a run or an ensemble.
@@ -107,7 +108,8 @@ def _rest_window(run: Run) -> float:
 
 
 def _count_slow(run: Run, settled: np.ndarray, window: float) -> np.ndarray:
-    """[K] fewest pieces that are slow at the end, but were not throughout the window before.
+    """[K] least number of pieces that are slow at the end, but were not during the whole window
+    before.
 
     settled: [K, T] (kg), the settled mass, which lacked these pieces at some time in the window.
     """
@@ -137,7 +139,7 @@ def _piece_masses(run: Run) -> Callable[[int], np.ndarray | None]:
 
 
 def _fewest_pieces(masses: np.ndarray, mass: float) -> int:
-    """The fewest of the pieces, of these masses (kg), that a mass (kg) can be of."""
+    """The least number of pieces of these masses (kg) that can make up a mass (kg)."""
     missing = mass - MASS_TOLERANCE * masses.min()
     if missing <= 0:
         return 0
@@ -170,8 +172,8 @@ def _count_fast(run: Run, block: str, settled: np.ndarray) -> np.ndarray:
 
 
 def _find_final_motion(run: Run) -> tuple[np.ndarray, np.ndarray] | None:
-    """Positions [.., N, 3] (m) and speeds [.., N] (m/s) at the end, of pieces outside the scene
-    nan; None: not stored.
+    """Positions [.., N, 3] (m) and speeds [.., N] (m/s) at the end, nan for pieces outside the
+    scene; None: not stored.
     """
     frames = run.pieces
     if frames is None or len(frames.time) < 2:
@@ -185,8 +187,8 @@ def _find_final_motion(run: Run) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _count_missing(run: Run, scene: Scene, settled: np.ndarray) -> np.ndarray:
-    """[K] fewest pieces that the mass that has not settled can be of; 0 where not all pieces are to
-    settle in one block.
+    """[K] least number of pieces that can make up the mass that has not settled; 0 if not all
+    pieces must settle in one block.
     """
     if scene.feeder or scene.inlet or scene.outlet or scene.cycle:
         return np.zeros(len(settled), int)

@@ -1,4 +1,4 @@
-"""The span of time in which things happen: the impact, and the whole from just before it."""
+"""Time windows of figures: the impact, and the whole run from just before it."""
 
 from collections.abc import Sequence
 
@@ -15,16 +15,16 @@ MARGIN = 0.05  # of a span, before it
 
 
 def whole_span(run: Run, mean: np.ndarray) -> TimeSpan:
-    """From just before the first force to the end of the run. mean: [.., T] (kg)."""
+    """Span (s) from just before the first force to the end of the run. mean: [.., T] (kg)."""
     felt = np.flatnonzero(np.abs(mean).reshape(-1, len(run.time)).max(axis=0) > 0.0)
     first, last = (run.time[felt[0]] if len(felt) else run.time[0]), run.time[-1]
     return float(max(run.time[0], first - MARGIN * (last - first))), float(last)
 
 
 def impact_span(run: Run, mean: np.ndarray) -> TimeSpan:
-    """From just before the first force until it stays below 10 % of its peak, or below twice the
-    final weight; at least 60 ms, and no longer than the run. mean: [.., T] (kg), of an ensemble the
-    largest of 95 % of its runs count.
+    """Span (s) from just before the first force until it stays below 10 % of its peak, or below
+    twice the final weight; at least 60 ms, and no longer than the run. mean: [.., T] (kg); for an
+    ensemble its 95 % quantile over the runs counts.
     """
     rows = np.abs(mean).reshape(-1, len(run.time))
     felt = np.flatnonzero(rows.max(axis=0) > 0.0)

@@ -1,5 +1,4 @@
-"""How much of the scatter of an ensemble is the chance of the fall, and how much the unknown
-numbers of its product.
+"""Shares of chance and of the unknown numbers of the product in the scatter of an ensemble.
 
 The scatter of an answer is the variance of the normal scores y of its ranks, so that a single piece
 that rolls on does not decide it (rank regression: Iman and Conover, Technometrics 21 (1979)
@@ -53,12 +52,13 @@ class VarianceShare(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether it differs from nothing."""
+        """Whether the share differs significantly from zero."""
         return self.low > 0
 
 
 class VarianceSplit(NamedTuple):
-    """The variance of an answer: all numbers together, and each of them, the largest first."""
+    """The variance of an answer: the shares of all numbers together, and of each, the largest
+    first."""
 
     answer: Metric
     numbers: VarianceShare
@@ -76,7 +76,7 @@ def find_varied_numbers(run: Run) -> dict[str, UncertainNumber]:
 
 
 def split_ensemble(run: Run, group: str | None = None) -> list[VarianceSplit]:
-    """The scatter of peak, time to rest and time to weigh of an ensemble with drawn numbers; [] of
+    """The scatter of peak, time to rest and time to weigh of an ensemble with drawn numbers; [] for
     other runs.
     """
     return _split_by_numbers(find_varied_numbers(run), run, group)
@@ -85,7 +85,7 @@ def split_ensemble(run: Run, group: str | None = None) -> list[VarianceSplit]:
 def _split_by_numbers(
     rows: dict[str, UncertainNumber], run: Run, group: str | None
 ) -> list[VarianceSplit]:
-    """The scatter of the answers of an ensemble by numbers that were drawn; [] without any."""
+    """Split the scatter of the answers of an ensemble by its drawn numbers; [] without any."""
     if not rows:
         return []
     drawn = np.array([evaluate_cdf(row, run.parameters[key]) for key, row in rows.items()]).T
@@ -94,8 +94,8 @@ def _split_by_numbers(
 
 
 def list_answers(run: Run, group: str | None = None) -> list[Metric]:
-    """Peak force (kg), time to rest (ms) and time to weigh (ms) of an ensemble, as far as there are
-    any.
+    """Peak force (kg), time to rest (ms) and time to weigh (ms) of an ensemble, as far as they are
+    known.
     """
     group, block = group or find_main_group(run), find_main_block(run)
     found = [number for number in compute_metrics(run, group) if number.name in ANSWERS]
@@ -177,7 +177,7 @@ def split_variance(
 
 
 def _bounded_share(name: str, value: float, low: float, high: float) -> VarianceShare:
-    """A share of at most 1 within its interval, which another estimator gives."""
+    """A share limited to at most 1 and to its interval, which comes from another estimator."""
     return VarianceShare(name, value, min(low, value), min(max(high, value), 1.0))
 
 
@@ -205,7 +205,7 @@ def _estimate_noncentrality(
 
 
 def choose_first_number(splits: Sequence[VarianceSplit]) -> VarianceShare | None:
-    """The number with the largest mean share over the answers, of those that differ from nothing in
+    """The number with the largest mean share over the answers, among those that differ from zero in
     one of them; None: there is none.
     """
     known = {share.name for split in splits for share in split.parts if share.is_known}
@@ -223,7 +223,7 @@ def choose_first_number(splits: Sequence[VarianceSplit]) -> VarianceShare | None
 
 
 def describe_uncertainty(run: Run, group: str | None = None) -> list[str]:
-    """Shares of chance and of unknown numbers of an ensemble in words; [] of runs without drawn
+    """Shares of chance and of unknown numbers of an ensemble in words; [] for runs without drawn
     numbers.
     """
     if not (rows := find_varied_numbers(run)):

@@ -68,8 +68,8 @@ def export_vtk(
 
 
 def _prepare_folder(folder: Path, kinds: Iterable[str]) -> None:
-    """Make the folder, without the collections of an earlier export: one that is there is of all
-    frames of this one.
+    """Make the folder and remove the collections of an earlier export, so that a collection always
+    lists all frames.
     """
     try:
         (folder / "frames").mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Collisions with walls in numbers and as a figure: how fast pieces hit, and where on a panel."""
+"""Collisions with walls in numbers and as a figure: impact speeds, and maps over panels."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -62,8 +62,7 @@ def load_statistics(run: Run) -> dict[str, Any]:
 
 def count_impact_speeds(run: Run) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Edges (m/s) of the classes of impact speeds, [classes + 1], and reported group -> collisions
-    in each, [K, classes] of K runs; the last class has all that were faster too. Raises
-    RecordError.
+    in each, [K, classes] for K runs; the last class includes all faster ones. Raises RecordError.
     """
     told = load_statistics(run)
     with _convert_errors():

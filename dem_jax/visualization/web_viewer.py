@@ -102,8 +102,8 @@ def collect_motion(run: Run, most_bytes: float = np.inf) -> BodyMotion | None:
 
 
 def build_view_data(run: Run, views: int = 1) -> dict[str, Any] | None:
-    """The data of a single run's view, for JSON; None: the run has no frames. views: how many share
-    the page.
+    """The data of a single run's view, for JSON; None: the run has no frames. views: number of
+    views on the page.
 
     As ``BodyMotion``, arrays as base64 of float32. Raises SceneError.
     """
@@ -130,7 +130,7 @@ def build_view_data(run: Run, views: int = 1) -> dict[str, Any] | None:
 
 
 def view_walls(scene: Scene, times: np.ndarray, level: np.ndarray | None = None) -> dict[str, Any]:
-    """The data of a view of the walls of a scene that nothing falls into yet, for JSON.
+    """The data of a view of the walls of a scene without pieces, for JSON.
 
     Args:
         scene: with its STL files read.

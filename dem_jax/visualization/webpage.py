@@ -46,5 +46,5 @@ def encode_png(figure: "Figure") -> str:
 
 
 def image_html(words: str, coded: str) -> str:
-    """A picture, PNG in base64; words: for those who do not see it."""
+    """The HTML of a picture. coded: PNG in base64; words: its alternative text."""
     return f'<div class="figure scrolled"><img alt="{words}" src="data:image/png;base64,{coded}"></div>'
