@@ -86,7 +86,7 @@ def _read_oscillations(args: argparse.Namespace) -> "tuple[list[Oscillation], fl
 
 
 def _load(row: Sequence[str]) -> float:
-    """(kg) of a load."""
+    """The mass (kg) of a load from its text."""
     try:
         grams = float(row[0])
     except ValueError:

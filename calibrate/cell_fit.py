@@ -152,7 +152,7 @@ def fit_cell(
 
 
 def _check_loads(oscillations: Sequence[Oscillation], mass: float | None) -> None:
-    """Raises BadInput."""
+    """Raise BadInput unless the loads determine the mass."""
     if not any(each.load == 0 for each in oscillations):
         raise BadInput("taps: none of the empty bucket; allowed: one or more")
     if mass is None and not any(each.load > 0 for each in oscillations):
@@ -237,7 +237,7 @@ class _Fit:
         return np.asarray(optimize.least_squares(stack, self.place, x_scale=1e-3).x)
 
     def _start(self) -> np.ndarray:
-        """From the oscillations of each load by themselves."""
+        """Start values from the oscillations of each load separately."""
         roots: dict[float, complex] = {}
         for load in dict.fromkeys(ring.load for ring in self.rings):
             roots[load] = find_root(
@@ -323,7 +323,7 @@ def _basis(root: complex, count: int, interval: float) -> np.ndarray:
 
 
 def _project(root: complex, values: np.ndarray, interval: float) -> tuple[np.ndarray, np.ndarray]:
-    """The factors of the basis, and residuals."""
+    """Project oscillations onto the basis: its factors, and the residuals."""
     return fit_basis(_basis(root, len(values), interval).T, values)
 
 
@@ -391,7 +391,7 @@ def _estimate_covariance(
 
 
 def _check(values: np.ndarray, sd: np.ndarray, taps: int) -> None:
-    """Raises BadInput for values that cannot be meant."""
+    """Raise BadInput for implausible values."""
     if not sd[0] < MOST_ERROR:
         raise BadInput(
             f"mass = {values[0]:.3g} kg +- {100 * sd[0]:.0f} %: {taps} taps do not determine it: allowed: below "
@@ -404,7 +404,7 @@ def _check(values: np.ndarray, sd: np.ndarray, taps: int) -> None:
 
 
 def _check_residual(rings: Sequence[Oscillation], residual: float) -> None:
-    """Raises BadInput for oscillations that are not of a single cell; residual: (g)."""
+    """Raise BadInput for oscillations that are not those of a single cell; residual: (g)."""
     quiet = [signal.detrend(ring.quiet) for ring in rings if len(ring.quiet)]
     noise = float(np.std(np.concatenate(quiet))) if quiet else 0.0
     size = float(np.mean([np.std(ring.values) for ring in rings]))

@@ -125,8 +125,8 @@ def cut_signals(
 
 
 def settled_weight(time: np.ndarray, values: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """[K] (kg) at which signals [K, T] less their tare end, however they ring. Raises `BadInput`
-    where a signal still changes then."""
+    """[K] (kg) final weights of signals [K, T] less their tare, independent of their ringing.
+    Raises `BadInput` where a signal still changes then."""
     after = time[-1] - max(time[0], 0.0)
     spans = (0.6 * after, 0.3 * after)
     whole, last = (momentum_weight(time, values, time[-1] - span) for span in spans)

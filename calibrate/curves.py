@@ -1,5 +1,5 @@
 """Forces of many portions on one time grid: bands, momentum, the reading of a load cell, and
-numbers to compare them by.
+numbers for comparisons.
 """
 
 from collections.abc import Sequence
@@ -89,12 +89,14 @@ def received(curves: Curves, start: np.ndarray | float, step: float, count: int)
 def load_cell(
     curves: Curves, frequency: float = CELL_FREQUENCY, damping: float = CELL_DAMPING
 ) -> np.ndarray:
-    """Reading [K, T] (kg) at the ends of the sample intervals of a cell that is a damped
-    oscillator; exact for forces that are constant over a sample.
+    """Reading [K, T] (kg) of a load cell, a damped oscillator, at the ends of the sample intervals;
+    exact for forces that are constant over a sample.
 
     Args:
+        curves: forces of K portions.
         frequency: (Hz) of the undamped cell, with the bucket on it; the portion's own mass on it is
-        left out. damping: ratio to the critical damping.
+        neglected.
+        damping: ratio to the critical damping.
     """
     rate = 2.0 * np.pi * frequency
     system = ([rate**2], [1.0, 2.0 * damping * rate, rate**2])
@@ -106,7 +108,7 @@ def load_cell(
 
 
 def bands(rows: np.ndarray) -> np.ndarray:
-    """[3, T] the LEVELS of [K, T]."""
+    """[3, T] quantiles LEVELS of rows [K, T]."""
     return np.quantile(rows, LEVELS, axis=0)
 
 
@@ -120,7 +122,7 @@ class Measure:
 
 
 def measure_curves(curves: Curves) -> dict[str, Measure]:
-    """Numbers of each portion that an engineer asks for: name -> `Measure`."""
+    """Numbers of each portion for an engineer: name -> `Measure`."""
     first, end, g = curves.first_impact, float(curves.time[-1]), curves.gravity
     fine = average(curves, first, 1e-3, max(int((end - first.min()) / 1e-3), 10))
     smooth = np.apply_along_axis(lambda row: np.convolve(row, np.full(10, 0.1), "valid"), 1, fine)

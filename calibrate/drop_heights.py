@@ -48,7 +48,7 @@ class Likelihood:
 
     @staticmethod
     def of(portions: Sequence[Heights]) -> "Likelihood":
-        """From heights and covariances."""
+        """The likelihood of portions with these heights and covariances."""
         most = max(len(p.values) for p in portions)
         arrays = np.zeros((3, len(portions), most))
         for k, p in enumerate(portions):

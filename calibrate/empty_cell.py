@@ -1,4 +1,4 @@
-"""A load cell without product: read from files, and as `dem_jax` has it."""
+"""A load cell without product: read from files, and converted from and to `dem_jax`."""
 
 import json
 from dataclasses import dataclass
@@ -109,7 +109,7 @@ def empty_cell_of(cell: "Cell") -> EmptyCell:
 
 
 def dem_cell(cell: EmptyCell) -> "Cell":
-    """The cell as `dem_jax` has it."""
+    """The cell in the form of `dem_jax`."""
     from dem_jax.weighing.cell import Cell
 
     omega = 2 * np.pi * cell.frequency

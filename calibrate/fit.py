@@ -70,7 +70,7 @@ class Fit:
 def default_start(
     targets: list[Target], measured: MeasuredSummaries, draws: RandomDraws
 ) -> dict[str, float]:
-    """Start values that the traces tell: h_mean and the limits from their own mean drop heights and
+    """Start values from the traces: h_mean and the limits from their own mean drop heights and
     spreads, dt_impact as the best of a coarse scan of the increments.
 
     Raises `BadInput` where the momentum of the traces is not that of falling portions of their
@@ -90,8 +90,8 @@ def default_start(
 def several_starts(
     start: ModelParameters, own: ModelParameters, free: FreeParameters, count: int = STARTS
 ) -> ModelParameters:
-    """`count` starts: `start`, then `own`, which the traces tell, and others about that by factors
-    of up to two: name
+    """`count` starts: `start`, then `own`, from the traces, and others about that by factors of up
+    to two: name
     -> [count]. The parameters that are not `free` have the value of `start` in all.
     """
     factors = {
@@ -185,8 +185,8 @@ def fit(
 def _measure_possible(
     targets: list[Target], align: str, force: bool
 ) -> tuple[MeasuredSummaries, list[str]]:
-    """The summaries of the traces, and why these cannot be meant as they were read: raises
-    `BadInput` unless `force`.
+    """The summaries of the traces, and reasons why these are not plausible as they were read, which
+    raise `BadInput` unless `force`.
     """
     if align == "release" and (names := [t.name for t in targets if not t.from_release]):
         raise BadInput(

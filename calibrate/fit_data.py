@@ -56,8 +56,8 @@ def measure_summaries(
     targets: list[Target], align: str = "release", bin_: float | None = None
 ) -> MeasuredSummaries:
     """Summaries of the traces. align: "release" (time zero of the files) or "first-impact" (times
-    of the files are not trusted; the balance of momentum tells how long each portion had been
-    falling). Raises `BadInput`.
+    of the files are not used; the balance of momentum gives the time for which each portion had
+    been falling). Raises `BadInput`.
     """
     if align not in ALIGNMENTS:
         raise BadInput(f"align = {align}: must be one of {', '.join(ALIGNMENTS)}")

@@ -1,4 +1,4 @@
-"""The figure of a fit: means and bands of traces and model, and how they differ. matplotlib is
+"""The figure of a fit: means and bands of traces and model, and their differences. matplotlib is
 imported only when one is drawn.
 """
 
@@ -45,8 +45,8 @@ def _landing(curves: np.ndarray) -> tuple[float, float]:
 def figure(
     result: "Fit | LandingFit", targets: list[Target], seed: int = 0, bin_: float | None = None
 ) -> "Figure":
-    """Mean and 5-95 % band of traces and model, and the difference of the means with how much of it
-    is chance.
+    """Mean and 5-95 % band of traces and model, and the difference of the means with its chance
+    scatter.
 
     bin_: (s) over which forces are averaged first; None: a twelfth of the time in which pieces
     land, so that most bins of most traces have an impact. (At a given time most traces have none: a

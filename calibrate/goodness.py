@@ -1,4 +1,4 @@
-"""Can the Product Model describe the traces at all? p-values against data sets that it made itself."""
+"""Goodness of a fit: p-values of traces against data sets simulated by the Product Model."""
 
 import jax
 import numpy as np
@@ -113,7 +113,7 @@ def _within(x: np.ndarray) -> np.ndarray:
 
 def complete_distances(parts: ArrayLike, measured: MeasuredSummaries) -> np.ndarray:
     """[..., 3] energy distances of the blocks with the part that depends on the data alone, which
-    the loss leaves out.
+    the loss omits.
     """
     columns = measured.columns(measured.height, measured.spread, measured.increments)
     within = _within(np.moveaxis(np.asarray(columns), -2, -1))

@@ -31,7 +31,7 @@ class Comparison:
 
     @property
     def change(self) -> float:
-        """By how much the median of the model differs from that of the data, as a share."""
+        """Relative difference of the median of the model from that of the data."""
         return self.model[1] / self.data[1] - 1.0 if self.data[1] else np.inf
 
 
@@ -50,7 +50,7 @@ class Judgement:
 
     @property
     def differing(self) -> list[Comparison]:
-        """Those whose difference is hardly chance: p times their number is below ALARM."""
+        """The comparisons whose difference is hardly chance: p times their number is below ALARM."""
         return [row for row in self.comparisons if row.p * len(self.comparisons) < ALARM]
 
 

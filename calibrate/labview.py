@@ -80,7 +80,7 @@ def labview_segment(path: Path, lines: Sequence[Line]) -> Segment | None:
 
 
 def _settings(lines: Sequence[Line], separator: str) -> dict[str, list[str]]:
-    """Values by name, in small letters."""
+    """Settings of the header: name in lower case -> value."""
     found = {}
     for line in lines:
         name, *values = [cell.strip() for cell in line.text.split(separator)]

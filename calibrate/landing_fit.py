@@ -241,8 +241,9 @@ def _fit(
 def release_delay(
     u: Values, free: tuple[str, ...], draws: LandingDraws, targets: list[Target]
 ) -> float:
-    """(s) by how much later the first impact of the traces is in the mean than that of the model,
-    which a fit from the first impact on does not see: the time for which the feed bucket still
+    """Mean delay (s) of the first impact of the traces after that of the model.
+
+    A fit from the first impact on does not see it. It is the time for which the feed bucket still
     bears the portion, if times count from its opening.
     """
     pulses = jax.vmap(lambda row: portion_pulses(to_values(u, free), row, targets[0].gravity))(
@@ -288,8 +289,8 @@ def _all_summaries(rows: np.ndarray, frame: TraceFrame) -> np.ndarray:
 def judge_landings(
     values: Values, targets: list[Target], frame: TraceFrame, seed: int, simulations: int = JUDGED
 ) -> SampleComparison:
-    """Traces that were not fitted beside simulated ones at `values`, with other random numbers than
-    any fit's.
+    """Compare traces that were not fitted with simulated ones at `values`, with other random
+    numbers than any fit.
     """
     draws = draw_landings(targets, simulations, seed + 4_000_003)
     rows = np.asarray(
@@ -304,7 +305,7 @@ _simulated = jax.jit(simulated, static_argnames=("frame", "gravity"))
 def judge_paper(
     paper: Fit, targets: list[Target], frame: TraceFrame, seed: int, simulations: int = JUDGED
 ) -> SampleComparison:
-    """The same for the paper's model."""
+    """Compare traces that were not fitted with simulated ones of the paper's model."""
     theta = {name: row["value"] for name, row in paper.parameters.items()}
     model = simulated_targets(theta, targets, simulations, seed + 4_000_003)
     return _judge(targets, accelerations(model, frame), frame, seed)

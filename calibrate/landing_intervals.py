@@ -1,4 +1,4 @@
-"""How sure a fit of the extended model is: refits to data sets that the fitted model made itself (a
+"""Uncertainty of a fit of the extended model: refits to data sets simulated by the fitted model (a
 parametric bootstrap).
 """
 

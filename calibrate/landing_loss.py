@@ -1,4 +1,5 @@
-"""How far simulated traces of the extended model are from measured ones, and Adam on it.
+"""Distance of simulated traces of the extended model from measured ones, and its minimisation by
+Adam.
 
 The loss is an energy distance between summaries of measured and simulated traces, jointly and one
 by one, with common random numbers.
@@ -18,14 +19,14 @@ from calibrate.landing_model import REACH, LandingDraws, Values, simulated_summa
 from calibrate.landing_summaries import TraceFrame, accelerations, summarize
 from calibrate.targets import Target
 
-AVERAGED = 0.3  # share of the steps of `descend_anew` whose mean it returns
+AVERAGED = 0.3  # share of the steps of `minimize_with_fresh_draws` whose mean it returns
 MARGINALS = 3.5  # weight of the mean distance of single summaries beside the joint one
 
 
 @dataclass(frozen=True)
 class LandingProblem:
-    """The traces to fit and how they are compared: frame, their summaries [K, D] in standard
-    deviations, gravity (m/s2).
+    """The traces to fit, and the terms of their comparison: frame, their summaries [K, D] in
+    standard deviations, gravity (m/s2).
     """
 
     frame: TraceFrame
@@ -76,7 +77,7 @@ def loss(
     free: Any,
     frame: TraceFrame,
 ) -> jax.Array:
-    """[] how far simulated traces at the coordinates `u` are from measured ones. data: their
+    """[] distance of simulated traces at the coordinates `u` from measured ones. data: their
     summaries, centre and scale.
     """
     x, centre, scale = data
@@ -110,7 +111,8 @@ def minimize_with_fresh_draws(
     rate: float,
     tell: Callable[[], object],
 ) -> Values:
-    """Where Adam ends from `u` if each step has other random numbers: the mean of the last steps.
+    """The end point of Adam from `u` with other random numbers in each step: the mean of the last
+    steps.
 
     A fit with common random numbers adapts to these few portions: other portions of the same
     parameters are further from the traces (`minimize_landing_loss` finds the valley, which is

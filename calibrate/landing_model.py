@@ -68,7 +68,7 @@ OFF_VALUES |= {"release_order": 0.0, "cushioning": 0.0, "late_duration": 590e-6}
 
 
 def to_values(u: Values, free: tuple[str, ...]) -> Values:
-    """All parameters: those that are `free` from their coordinates, the others off."""
+    """All parameters: `free` parameters from their coordinates, the others switched off."""
     off = {name: value for name, value in OFF_VALUES.items() if name not in free}
     return coordinates.to_values(u, off)
 
@@ -124,7 +124,7 @@ def portion_pulses(values: Values, draws: LandingDraws, gravity: float) -> Landi
 
 def acceleration(pulses: LandingPulses, draws: LandingDraws, frame: TraceFrame) -> jax.Array:
     """Force over mass [samples] (m/s2) of one portion from its first impact on, as `accelerations`
-    finds it in a trace.
+    computes it for a trace.
     """
     first = jnp.min(jnp.where(draws.mass > 0.0, pulses.first_touch, jnp.inf))
     origin = first - (BEFORE + draws.phase) * frame.bin
@@ -152,8 +152,8 @@ def simulated(values: Values, draws: LandingDraws, gravity: float, frame: TraceF
 def simulated_summaries(
     values: Values, draws: LandingDraws, gravity: float, frame: TraceFrame
 ) -> jax.Array:
-    """Summaries [M, D] of all portions; those that look at single pulses without their derivatives
-    by the times of impact.
+    """Summaries [M, D] of all portions; those of single pulses without their derivatives by the
+    times of impact.
     """
     fast = jnp.asarray(frame.fast)
 

@@ -39,7 +39,7 @@ class TraceFrame:
     samples: int
 
     def bins(self, seconds: float) -> int:
-        """A time as a whole number of bins, at least one."""
+        """Number of bins in a time, at least one."""
         return max(1, round(seconds / self.bin))
 
     @property
@@ -105,8 +105,8 @@ class TraceFrame:
 
     @property
     def fast(self) -> np.ndarray:
-        """Which of them look at single pulses: their derivatives by the times of impact are
-        interference, and left out.
+        """Mask of the summaries of single pulses, whose derivatives by the times of impact are
+        interference and left out.
         """
         short = {f"peak of {1e3 * k * self.bin:.3g} ms" for k in self.peaks[:2]}
         return np.array(
@@ -118,14 +118,14 @@ class TraceFrame:
 
     @property
     def smooth(self) -> np.ndarray:
-        """Which of them a gradient sees: not the moments of crossings and peaks."""
+        """Mask of the summaries with a gradient: all but the moments of crossings and peaks."""
         return np.array(
             [n not in ("time to nine tenths", "cell: time of peak") for n in self.names]
         )
 
 
 def find_common_frame(targets: list[Target]) -> TraceFrame:
-    """The frame that all `targets` fill. Raises `BadInput` where their samples are too long or too
+    """The frame that all `targets` fill. Raises `BadInput` if their samples are too long or too
     few.
     """
     coarsest = max(trace.sample for trace in targets)
@@ -146,7 +146,8 @@ def find_common_frame(targets: list[Target]) -> TraceFrame:
 
 
 def landing_time(trace: Target) -> float:
-    """(s) from the first impact until nine tenths of the momentum that the pieces bring are given."""
+    """Time (s) from the first impact until nine tenths of the momentum of the pieces are
+    transferred."""
     time = np.arange(1, int((trace.time[-1] - trace.first_impact) / 1e-3) + 1) * 1e-3
     force = rebin(trace, trace.first_impact, 1e-3, len(time))
     brought = np.cumsum(force) * 1e-3 - trace.weight * time
@@ -176,8 +177,8 @@ def _running_mean(momentum: jax.Array, bins: int, length: float) -> jax.Array:
 
 
 def _largest(values: jax.Array) -> jax.Array:
-    """The largest entry, by its place: XLA may compute `values` once more for `max`, and round them
-    otherwise.
+    """The largest entry, by its index: XLA may compute `values` again for `max`, with other
+    rounding.
     """
     return values[jnp.argmax(values)]
 

@@ -23,10 +23,13 @@ BLOCKS = ("height", "spread", "increments")
 class RandomDraws:
     """Random numbers of M simulated portions of up to n pieces, kept while the parameters move.
 
-    z: [M] normal (stratified); v: [M, n] uniform on (-1, 1); last: [M] the v of the piece that
-    lands when the first impacts are over (drop heights grow with v); phase: [M] in (0, 1), where in
-    a bin a trace begins mass: [M, n] (kg), zero where a portion has fewer pieces; offset: [M] (m)
-    known deviation of the drop height
+    z: [M] normal (stratified)
+    v: [M, n] uniform on (-1, 1)
+    last: [M] the v of the piece that lands when the first impacts are over (drop heights grow with
+    v)
+    phase: [M] in (0, 1), the place in a bin where a trace begins
+    mass: [M, n] (kg), zero where a portion has fewer pieces
+    offset: [M] (m) known deviation of the drop height
     """
 
     z: jax.Array
@@ -68,7 +71,7 @@ class MeasuredSummaries:
 
     @property
     def single_lags(self) -> jax.Array:
-        """[lags, lags] each lag by itself, in units of its standard deviation."""
+        """[lags, lags] diagonal scaling of each lag by its standard deviation."""
         return jnp.diag(1.0 / self.scale[2:])
 
     def columns(self, height: jax.Array, spread: jax.Array, increments: jax.Array) -> jax.Array:
@@ -199,7 +202,7 @@ def joint_distance(
     theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int
 ) -> jax.Array:
     """One energy distance of all summaries together, each over its scale. Kept for comparison: it
-    hardly tells gamma_high.
+    hardly determines gamma_high.
     """
     some = jax.tree.map(lambda leaf: leaf[:fine], draws)
     y = measured.columns(*moments(theta, some, measured), increments(theta, draws, measured, fine))

@@ -1,5 +1,5 @@
-"""The models that `calibrate product` fits, by name: each says its parameters, makes traces, and is
-judged.
+"""The models that `calibrate product` fits, by name, with their parameters, simulated traces and
+tests.
 
 A further model is one function from traces to a `FittedModel`, and one entry of MODELS.
 """

@@ -1,5 +1,5 @@
-"""The momentum that pieces still have while a portion lands, from the signal of a load cell and the
-known weight.
+"""The remaining momentum of the pieces while a portion lands, from the signal of a load cell and
+the known weight.
 
 A fixed-interval smoother (modified Bryson-Frazier form): the impulse of each sample is the weight's
 and a random one, and all is at rest in the end.
@@ -24,8 +24,10 @@ REACH = 5  # samples on either side, over which scatter is pooled
 
 
 class Triggers(NamedTuple):
-    """start: [K] samples at which portions trigger. mean: [K, 2], covariance: [K, 2, 2] of xi and
-    eta, tare: [K] (g), before."""
+    """Triggers of portions, and the state before them.
+
+    start: [K] samples at which portions trigger. mean: [K, 2], covariance: [K, 2, 2] of xi and eta
+    before. tare: [K] (g) before."""
 
     start: np.ndarray
     mean: np.ndarray
@@ -34,8 +36,8 @@ class Triggers(NamedTuple):
 
 
 def find_triggers(empty: Weigher, signals: Sequence[np.ndarray]) -> Triggers:
-    """Where signals begin to show a portion. Raises BadInput for one that never does or does at
-    once."""
+    """Samples at which signals begin to show a portion. Raises BadInput for a signal that never
+    does, or does from its beginning."""
     count, most = len(signals), max(map(len, signals))
     table = np.stack([np.pad(s, (0, most - len(s)), mode="edge") for s in signals])
     index, mean = np.full(count, -1), np.zeros((count, 2))

@@ -1,6 +1,4 @@
-"""Numbers, clock times and dates as programs write them, and which sign of a table is the decimal
-one.
-"""
+"""Numbers, clock times and dates in text, and the decimal sign of a table."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -43,8 +41,8 @@ DATE = re.compile(
 
 
 def tidy(cell: str) -> str:
-    """A cell with one kind of sign and no blanks that carry nothing: "+ 0,081" and "−1 234" as
-    "+0,081" and "-1234".
+    """A cell with unified signs and without meaningless blanks: "+ 0,081" and "−1 234" as "+0,081"
+    and "-1234".
     """
     if PLAIN.match(cell):
         return cell
@@ -54,7 +52,7 @@ def tidy(cell: str) -> str:
 
 
 def is_missing(cell: str) -> bool:
-    """Whether a tidy cell says that there is no value."""
+    """Whether a tidy cell marks a missing value."""
     return cell.lower() in MISSING
 
 
@@ -69,7 +67,7 @@ def is_date(cell: str) -> bool:
 
 
 def clock_seconds(cell: str) -> float | None:
-    """(s) since midnight of a tidy cell with a clock time, behind a date or alone; None where it is
+    """(s) since midnight of a tidy cell with a clock time, behind a date or alone; None if it has
     none.
     """
     found = _clock(cell)
@@ -87,7 +85,7 @@ def clock_seconds(cell: str) -> float | None:
 
 
 def clock_decimals(cell: str) -> int:
-    """Number of decimal places of the seconds of a clock time; 0 where it is none."""
+    """Number of decimal places of the seconds of a clock time; 0 if it is none."""
     found = _clock(cell)
     return (
         0
@@ -109,13 +107,13 @@ def _clock(cell: str) -> re.Match[str] | None:
 
 @dataclass(frozen=True)
 class Signs:
-    """decimal: the decimal sign; grouping: the sign that stands between thousands, or ""."""
+    """Signs of numbers. decimal: the decimal sign; grouping: the sign between thousands, or ""."""
 
     decimal: str
     grouping: str = ""
 
     def value(self, cell: str) -> float:
-        """The number of a tidy cell, nan where it says that there is none. Raises ValueError."""
+        """The number of a tidy cell, nan for a missing value. Raises ValueError."""
         if PLAIN.match(cell) and (self.decimal in cell or cell.isdigit()):
             return float(cell.replace(",", "."))
         if is_missing(cell):
@@ -194,8 +192,8 @@ def _evidence(cells: Sequence[str], sign: str) -> _Evidence:
 
 
 def detect_signs(columns: Iterable[Sequence[str]], decimal: str | None = None) -> Signs:
-    """Decimal sign and sign of grouping of a table, from its columns of tidy numbers, if need be as
-    `decimal` tells.
+    """Decimal sign and sign of grouping of a table, from its columns of tidy numbers, or as
+    `decimal` requires.
 
     Raises `BadInput` where columns contradict each other or leave it open.
     """

@@ -1,5 +1,5 @@
-"""One progress bar over stages of different kinds, with the time left: that of the stage by its own
-progress, of those after it by estimates.
+"""One progress bar over stages of different kinds, with the remaining time: that of the present
+stage from its own progress, that of later stages from estimates.
 """
 
 import sys
@@ -15,7 +15,7 @@ FORMAT = "{desc}: {percentage:3.0f}% |{bar}| [{elapsed}{postfix}]"
 
 
 class Stage(NamedTuple):
-    """A part of the work. seconds: that it is expected to take, before it has begun."""
+    """A part of the work. seconds: its expected duration, before it has begun."""
 
     name: str
     seconds: float
@@ -54,7 +54,7 @@ class OverallProgress:
             set_open_line(False)
 
     def begin(self, name: str) -> None:
-        """The stage of this name begins."""
+        """Begin the stage of this name."""
         self._current = next(k for k, stage in enumerate(self._stages) if stage.name == name)
         self._since, self._share, self._words = time.perf_counter(), 0.0, name
         self._draw()
@@ -66,7 +66,7 @@ class OverallProgress:
 
     @property
     def left(self) -> float:
-        """(s) that is left, by the pace of the present stage and the estimates of those after it."""
+        """Remaining time (s), from the pace of the present stage and the estimates of later ones."""
         stage, spent = self._stages[self._current], time.perf_counter() - self._since
         expected = max(stage.seconds, spent)
         if self._share > 0.0:  # its own pace counts the more, the more of it is done
@@ -87,7 +87,7 @@ class OverallProgress:
         self._bar.refresh()
 
     def finish(self) -> None:
-        """All is done."""
+        """Complete the bar."""
         self._stages, self._current, self._share = [Stage("done", 0.0)], 0, 1.0
         self._words, self._done = "done", 1.0
         self._draw()

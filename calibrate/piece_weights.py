@@ -37,8 +37,8 @@ SIZES = ("size", "chamfer", "radius", "height", "sides", "points", "unit")
 
 
 def _volume(piece: dict[str, Any]) -> float | None:
-    """(m3) of the named shape with its own sizes; None where the text does not tell (a hull in a
-    file of its own).
+    """(m3) of the named shape with its own sizes; None if the text does not contain it (a hull in a
+    separate file).
     """
     shape, scale = piece.get("shape", "chamfered-cuboid"), float(piece.get("scale_factor") or 1.0)
     sizes = {name: piece[name] for name in SIZES if piece.get(name) is not None}
@@ -50,8 +50,8 @@ def _volume(piece: dict[str, Any]) -> float | None:
 
 
 def piece_mass(scene: str) -> float | None:
-    """(kg) of one piece of the scene's portion, None where the text does not tell (pieces of
-    different weights, a hull in a file of its own).
+    """(kg) of one piece of the scene's portion, None if the text does not contain it (pieces of
+    different weights, a hull in a separate file).
 
     Raises `BadInput` where the text is not TOML.
     """
@@ -71,8 +71,8 @@ def piece_mass(scene: str) -> float | None:
 
 
 def _mass(piece: dict[str, Any], material: dict[str, Any]) -> float | None:
-    """(kg) of a piece by its own weight, or of the scene's material or of one by name; None where
-    the text does not tell.
+    """(kg) of a piece by its own weight, or of the scene's material or of one by name; None if the
+    text does not contain it.
     """
     if piece.get("size_spread") or piece.get("piece_weight_spread"):
         return None

@@ -152,9 +152,11 @@ def _check_release(targets: Sequence[Target], measured: MeasuredSummaries) -> It
 
 
 def release_shift(targets: Sequence[Target]) -> tuple[float, float]:
-    """When the balance of momentum puts the release: as a share of the time of the first impact,
-    and (s); medians over the traces that end at the weight of their pieces, without which it tells
-    nothing; 0 where none does.
+    """The release according to the balance of momentum: as a share of the time of the first impact,
+    and (s).
+
+    Both are medians over the traces that end at the weight of their pieces, without which the
+    balance has no meaning; 0 if there are none.
     """
     rows = []
     for t in targets:
@@ -215,7 +217,7 @@ def find_doubtful(targets: Sequence[Target], align: str = "release") -> list[str
 
 
 def find_absurd(parameters: dict[str, dict[str, Any]]) -> list[str]:
-    """Which parameters of a fit cannot be meant: a line for each.
+    """Implausible parameters of a fit: a line for each.
 
     Args:
         parameters: rows of `Fit.parameters`.

@@ -68,7 +68,7 @@ class ProductRequest:
 
 @dataclass(frozen=True)
 class ProductFiles:
-    """Where things are written."""
+    """Paths of the results."""
 
     ensemble: Path
     fit: Path
@@ -78,7 +78,7 @@ class ProductFiles:
 
     @property
     def results(self) -> list[Path]:
-        """All but the ensemble."""
+        """All paths except that of the ensemble."""
         return [self.fit, self.html, self.pdf, *self.figures.values()]
 
 
@@ -168,8 +168,8 @@ def _check_request(request: ProductRequest) -> None:
 
 
 def plan_files(request: ProductRequest) -> ProductFiles:
-    """Where everything goes. Raises `BadInput` where a result exists, unless it is to be replaced,
-    or cannot be written.
+    """Paths of all results. Raises `BadInput` if one exists, unless it may be replaced, or cannot
+    be written.
     """
     out = Path(request.out or request.name)
     if out.suffix == ".json":
@@ -289,8 +289,8 @@ def _check_scene(base: str, scene: "Scene") -> None:
 
 
 def choose_duration(scene: "Scene") -> float:
-    """(s) until a portion is at rest: opening of the flaps, fall, rebounds that each last ε times
-    the one before, slumping.
+    """(s) until a portion is at rest: opening of the flaps, fall, rebounds, each ε times as long as
+    the one before, and slumping.
     """
     named = [
         own.restitution
@@ -327,8 +327,8 @@ def describe_drops(request: ProductRequest, scene: "Scene", masses: np.ndarray) 
 
 
 def _check_ensemble(files: ProductFiles, scene: "Scene", request: ProductRequest) -> bool:
-    """Whether there is an ensemble of the same inputs. Raises `BadInput` for another one, unless it
-    is to be replaced.
+    """Check an existing ensemble. Raises `BadInput` for one of other inputs, unless it may be
+    replaced.
     """
     if not files.ensemble.exists():
         return False
@@ -419,9 +419,7 @@ def simulate_drops(
 
 
 def _recorded_time(path: Path) -> float:
-    """(s) that the ensemble of a file holds; as long as can be where it ended because all was at
-    rest.
-    """
+    """Recorded time (s) of the ensemble in a file; infinite if it ended because all was at rest."""
     import h5py
 
     with h5py.File(path, "r") as file:

@@ -128,8 +128,8 @@ CAPTIONS = {
 
 
 def _whole(data: Curves, bin_: float) -> tuple[float, int]:
-    """(s) from when on, and in how many intervals, the whole drop is shown: from shortly before the
-    earliest first impact.
+    """Start (s) of the panel of the whole drop, shortly before the earliest first impact, and its
+    number of intervals.
     """
     begin = max(float(data.first_impact.min()) - 0.02, float(data.time[0]) - data.sample)
     return begin, max(int((float(data.time[-1]) - begin) / bin_ + 1e-6), 2)

@@ -1,4 +1,4 @@
-"""The report of a product on one page, as HTML that holds all that it shows, and as PDF."""
+"""The report of a product on one page, as self-contained HTML, and as PDF."""
 
 import base64
 import io

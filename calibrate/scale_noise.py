@@ -21,8 +21,10 @@ LEAST_WHITE = 0.05  # g: what a model of one line leaves out, and quantization
 
 
 class ScaleNoise(NamedTuple):
-    """white: (g). line: [2] autoregressive coefficients, line_innovation: (g). sd: (g) of all
-    noise."""
+    """Noise of an empty scale.
+
+    white: (g). line: [2] autoregressive coefficients. line_innovation: (g). sd: (g) of all noise.
+    """
 
     white: float
     line: np.ndarray

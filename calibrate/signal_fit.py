@@ -126,9 +126,10 @@ def fit_signals(
 def solve_portions(
     portions: Portions, has_weights: bool, cell: CellGuess | None, tell: ProgressCallback
 ) -> Solved:
-    """Cell, pulse, and moments of impact that describe the signals best; pieces of different weight
-    only where equal ones do not describe them and these do: else the weights of pieces would make
-    up for rebounds."""
+    """Cell, pulse, and moments of impact that describe the signals best.
+
+    Pieces have different weights only if equal weights do not describe the signals and different
+    ones do; otherwise the weights of pieces would compensate for rebounds."""
     guess = cell or signal_start.guess_cell(
         portions.time, portions.values - portions.tare[:, None], portions.weight
     )
@@ -165,7 +166,7 @@ def _whiten(portions: Portions, readings: Readings, found: Estimate) -> Solved:
 
 
 def _solve_unequal(portions: Portions, readings: Readings, found: Estimate) -> Solved:
-    """The solution with pieces that differ in weight."""
+    """The solution with pieces of different weight."""
     local = np.hstack([found.local, np.zeros(readings.share.shape)])
     start = replace(found, local=local, mass_spread=UNEQUAL)
     ends = [solve(readings, replace(start, is_mean=is_mean)) for is_mean in (1.0, 0.0)]
@@ -234,7 +235,7 @@ def _total(found: Estimate) -> float:
 
 
 def _mend(portions: Portions, readings: Readings, found: Estimate) -> Estimate:
-    """Start portions anew that are described much worse than most, now that the cell is known."""
+    """Start anew, with the known cell, those portions that are described much worse than most."""
     rough = found.cost > ROUGH * np.median(found.cost)
     if not rough.any():
         return found

@@ -1,5 +1,5 @@
-"""Least squares of many portions at once: each has numbers of its own, and all share those of the
-cell and of the pulse.
+"""Least squares of many portions at once: each has parameters of its own, and all share those of
+the cell and of the pulse.
 
 Levenberg-Marquardt with exact derivatives. Each portion is damped by itself; the numbers that
 portions share are found from the Schur complement, so that the work grows with the number of
@@ -46,7 +46,7 @@ class Readings:
     inverse_mass_sd: float
 
     def some(self, count: int) -> "Readings":
-        """Those of the first portions."""
+        """The readings of the first portions."""
         rows = {
             name: getattr(self, name)[:count] for name in ("values", "share", "weight", "weight_sd")
         }
@@ -60,8 +60,8 @@ class Readings:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Numbers of the model. shared: [4]; local: [K, 5 + pieces], as ``cell_response.respond`` has
-    them; is_mean: 1 or 0;
+    """Numbers of the model. shared: [4]; local: [K, 5 + pieces], see ``cell_response.respond``;
+    is_mean: 1 or 0;
     whitening: [order + 1] filter that makes the residual white noise of variance 1; cost: [K] sums
     of squares."""
 

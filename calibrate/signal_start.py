@@ -40,12 +40,12 @@ class CellGuess(NamedTuple):
     def of(
         frequency: float, damping_ratio: float = DAMPING_GUESS, mass: float = 1.0
     ) -> "CellGuess":
-        """From frequency (Hz), damping ratio and mass (kg) of the empty cell."""
+        """The guess for frequency (Hz), damping ratio and mass (kg) of the empty cell."""
         return CellGuess(2.0 * np.pi * frequency, max(damping_ratio, 1e-4), 1.0 / mass)
 
 
 def guess_cell(time: np.ndarray, values: np.ndarray, weight: np.ndarray) -> CellGuess:
-    """The cell from how loaded cells ring freely.
+    """Guess the cell from the free ringing of loaded cells.
 
     Args:
         time: [T] (s) after the first impact, equidistant.
@@ -65,7 +65,8 @@ def guess_cell(time: np.ndarray, values: np.ndarray, weight: np.ndarray) -> Cell
 
 
 def momentum_weight(time: np.ndarray, values: np.ndarray, begin: float) -> np.ndarray:
-    """[K] (kg) that signals [K, T] less their tare show from `begin` (s) on, however they ring."""
+    """[K] (kg) weight of signals [K, T] less their tare from `begin` (s) on, independent of their
+    ringing."""
     return _free_ringing(time, values, begin)[:, 1]
 
 
@@ -86,7 +87,7 @@ def _free_ringing(time: np.ndarray, values: np.ndarray, begin: float) -> np.ndar
 
 
 def find_quiet_end(onset: int, interval: float) -> int:
-    """Number of readings before an onset that no piece has touched."""
+    """Number of readings before an onset that no impact affects."""
     return max(onset - round(GUARD / interval), onset // 2)
 
 
@@ -141,7 +142,7 @@ def _regress(square: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
 def guess_portion(
     time: np.ndarray, row: np.ndarray, pieces: int, weight: float, cell: CellGuess
 ) -> tuple[float, np.ndarray]:
-    """Release (s) and middles of the pulses [pieces] (s).
+    """Guess the release (s) and the middles of the pulses [pieces] (s).
 
     Args:
         time: [T] (s) after the first impact, equidistant.

@@ -21,7 +21,7 @@ ROUGH_FIT = 1.5
 
 
 def find_absurd(fit: "SignalFit") -> list[str]:
-    """Which results cannot be meant: a line for each."""
+    """Implausible results: a line for each."""
     value = {name: float(row["value"]) for name, row in fit.parameters.items()}
     if not np.isfinite(list(value.values())).all():
         return ["the fit diverged: look at the signals"]

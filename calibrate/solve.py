@@ -75,7 +75,7 @@ def minimize_by_adam(
     """Least value by Adam from `u` (a dict), its steps falling from `first` to `first/finer`;
     `slope(u)` is the gradient.
 
-    Its memory is short (0.8 and 0.9), so that the steep way down to the valley is soon forgotten on
+    Its memory is short (0.8 and 0.9), so that the steep descent to the valley is soon forgotten on
     the flat floor.
     """
     optimiser = optax.scale_by_adam(b1=0.8, b2=0.9)
@@ -273,8 +273,8 @@ def solve_data_sets(
     free: FreeParameters,
     fine: int,
 ) -> FitSolution:
-    """`solve` of several data sets from one start, without going far: `measured` has a leading axis
-    on its summaries only. As many sets as starts share the program of `solve_starts`.
+    """`solve` of several data sets from one start, with a short search: `measured` has a leading
+    axis on its summaries only. As many sets as starts share the program of `solve_starts`.
     """
     count = measured.height.shape[0]
     starts = {name: _repeat_leaf(jnp.asarray(value), count) for name, value in start.items()}

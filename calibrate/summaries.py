@@ -33,7 +33,7 @@ import numpy as np
 
 
 def still_falling(pieces: int) -> int:
-    """Number of pieces, the last to land, that are taken to land when the first impacts are over:
+    """Number of pieces, the last to land, that are assumed to land when the first impacts are over:
     one in fifty.
     """
     return pieces // 50
@@ -94,8 +94,8 @@ def pulse_moments(
     gravity: jax.Array,
     floor: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """The same of a simulated portion, from the times (s) and jumps (N) of its edges [E], up to its
-    last edge or the `end` of the traces (s).
+    """Mean drop height and spread (m) of a simulated portion, from the times (s) and jumps (N) of
+    its edges [E], up to its last edge or the `end` of the traces (s).
     """
     end = jnp.minimum(jnp.max(times), end)
     s = jnp.minimum(times, end)
@@ -106,8 +106,8 @@ def pulse_moments(
 
 
 def momentum_release(time: np.ndarray, force: np.ndarray, sample: float, weight: float) -> float:
-    """Release (s) that the balance of momentum tells, int F dt = weight (end - release): [] for one
-    trace [T] (N).
+    """Release (s) according to the balance of momentum, int F dt = weight (end - release): [] for
+    one trace [T] (N).
     """
     return time[-1] - np.sum(force) * sample / weight
 
@@ -151,8 +151,8 @@ def log_increments(changes: jax.Array, lags: Sequence[int]) -> jax.Array:
 
 
 def trace_log_increments(force: np.ndarray, lags: Sequence[int]) -> np.ndarray:
-    """The same of one measured trace [T] (NumPy), by its definition: traces of any length, without
-    a program for each.
+    """``log_increments`` of one measured trace [T] (NumPy), by its definition: traces of any
+    length, without a program for each.
     """
     smooth = np.convolve(force, np.full(SMOOTH, 1.0 / SMOOTH), "valid")
     return np.array(

@@ -1,5 +1,5 @@
-"""Columns of a table: their values and units, which are times, which are forces and which of them
-belong together.
+"""Columns of a table: their values and units, and the assignment of columns of times to columns of
+forces.
 """
 
 import re
@@ -67,14 +67,14 @@ class Field:
 
     @property
     def is_counter(self) -> bool:
-        """Whether it numbers the rows."""
+        """Whether the column numbers the rows."""
         return len(self.values) > 1 and bool(
             (np.diff(self.values) == 1.0).all() and self.values[0] == int(self.values[0])
         )
 
     @property
     def rises(self) -> bool:
-        """Whether it goes up evenly in all rows, which forces of a portion never do."""
+        """Whether the values rise evenly in all rows, unlike forces of a portion."""
         steps = np.diff(self.values[np.isfinite(self.values)])
         return len(steps) > 1 and bool((steps > 0).all() and np.ptp(steps) < 0.5 * steps.mean())
 
@@ -152,9 +152,7 @@ def _field(
 
 
 def find_roles(path: Path, layout: Layout, fields: Sequence[Field], options: TableOptions) -> Roles:
-    """Which columns are times and which are forces. Raises `BadInput` where the table does not
-    tell.
-    """
+    """The columns of times and of forces. Raises `BadInput` if the table is ambiguous."""
     full = [k for k, f in enumerate(fields) if np.isfinite(f.values).any()]
     times = _times(fields, full)
     if options.sample is not None:
@@ -184,8 +182,8 @@ def find_roles(path: Path, layout: Layout, fields: Sequence[Field], options: Tab
 
 
 def _times(fields: Sequence[Field], full: Sequence[int]) -> list[int]:
-    """Columns of times: by name or unit, without any the first that goes up evenly; and all that go
-    up like one of them.
+    """Columns of times: by name or unit, without any the first that rises evenly; and all that rise
+    like one of them.
     """
     times = [k for k in full if _is_time(fields[k])]
     if any(not fields[k].is_clock for k in times):
@@ -198,8 +196,8 @@ def _times(fields: Sequence[Field], full: Sequence[int]) -> list[int]:
 
 
 def _is_time_beside(column: Field, time: Field) -> bool:
-    """Whether a column without a name that says so holds times, too: it equals those of `time`, or
-    goes up as evenly.
+    """Whether a column without a name of times also holds times: it equals `time`, or rises as
+    evenly.
     """
     if (
         column.quantity not in ("", "date")

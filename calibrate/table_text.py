@@ -66,7 +66,7 @@ class Layout:
 
 
 def read_lines(path: Path) -> list[Line]:
-    """The lines of a file that are not blank. Raises `BadInput` where it is no text."""
+    """The lines of a file that are not blank. Raises `BadInput` if it is not text."""
     raw = path.read_bytes()
     for magic, name in BINARY.items():
         if raw.startswith(magic):
@@ -140,7 +140,7 @@ def _parse_quoted(line: str, separator: str) -> list[str]:
 def find_layout(
     path: Path, lines: Sequence[Line], separator: str | None = None, least: int = 2
 ) -> Layout:
-    """How `lines` are to be read: by the separator by which most of them are rows of at least
+    """The layout of `lines`: the separator is the one with which most of them are rows of at least
     `least` values.
 
     Raises `BadInput` where there are none, where a line below the first row is none, and where the
@@ -192,7 +192,7 @@ def _find_rows(lines: Sequence[Line], separator: str) -> tuple[int, list[list[st
 
 
 def _read_row(line: str, separator: str) -> list[str] | None:
-    """The tidy cells of a row of values; None if it is none."""
+    """The tidy cells of a row of values; None if the line is none."""
     written = split_cells(line, separator)
     if len(written) > 1 and all(PLAIN.match(cell) for cell in written):
         return written

@@ -27,11 +27,15 @@ QUIET = 8  # samples before the first impact from which the zero of a trace is t
 class Target:
     """One measured trace.
 
-    time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [T] (N) means
-    over them, downward positive m_piece: (kg) weight of one piece, their mean where they differ;
-    pieces: number of pieces height_offset: (m) known deviation of this trace's mean drop height
-    from the others'; gravity: (m/s2); name: for messages assumed: which units the source does not
-    tell, of "time" and "force"; from_release: False where times do not count from the release
+    time: [T] (s) after the release, ends of the sample intervals, equidistant
+    force: [T] (N) means over them, downward positive
+    m_piece: (kg) weight of one piece, the mean where they differ
+    pieces: number of pieces
+    height_offset: (m) known deviation of this trace's mean drop height from the others'
+    gravity: (m/s2)
+    name: for messages
+    assumed: the units among "time" and "force" that the source does not give
+    from_release: False where times do not count from the release
     """
 
     time: np.ndarray
@@ -61,7 +65,7 @@ class Target:
 
     @property
     def zero(self) -> float | None:
-        """(N) mean force before the first impact; None where the trace has no such part."""
+        """(N) mean force before the first impact; None if the trace has no such part."""
         start = float(np.median(self.force[:QUIET]))
         before = int(np.argmax(np.abs(self.force - start) > ONSET * (self.force.max() - start)))
         return (
@@ -170,7 +174,7 @@ def read(
 
 
 def subtract_zero(trace: Target) -> Target:
-    """`trace` less its mean force before the first impact. Raises `BadInput` where it has no such
+    """`trace` less its mean force before the first impact. Raises `BadInput` if it has no such
     part.
     """
     if trace.zero is None:
@@ -262,7 +266,7 @@ def _stored_counts(attrs: Mapping[str, Any], count: int | None) -> Any:
 def _masses(
     path: Path, attrs: dict[str, Any], m_piece: float | None, runs: int, said: list[str]
 ) -> list[float]:
-    """(kg) of a piece of each run, the mean of those that the file tells; `said` gets a line where
+    """Mass (kg) of a piece of each run, the mean over the pieces in the file; `said` gets a line if
     they differ.
     """
     if m_piece is not None:
@@ -284,8 +288,8 @@ def _masses(
 
 
 def stored_masses(path: Path, attrs: Mapping[str, Any], runs: int) -> list[np.ndarray] | None:
-    """(kg) of the pieces of each run as the file's attribute info has them, one where all are
-    alike; None: it has none.
+    """Masses (kg) of the pieces of each run from the file's attribute info, one if all are equal;
+    None: it has none.
     """
     try:
         found = json.loads(str(attrs.get("info", "{}"))).get("piece_masses")

@@ -1,4 +1,4 @@
-"""Times of a table as even ones, where they are even up to the digits in which they are written."""
+"""Even times from those of a table, if they are even up to their written digits."""
 
 from collections.abc import Callable
 

@@ -70,12 +70,12 @@ class Ensemble:
     targets: list[Target]
 
     def fall_time(self) -> float:
-        """(s) of a fall from rest that gives the momentum that the portions bring, in the median."""
+        """Time (s) of a fall from rest that gives the momentum of the portions, in the median."""
         release = [momentum_release(t.time, t.force, t.sample, t.weight) for t in self.targets]
         return float(np.median([t.first_impact for t in self.targets] - np.array(release)))
 
     def lost_time(self) -> float:
-        """(s) by which that is less than a free fall through the drop height."""
+        """Time (s) by which the fall is shorter than a free fall through the drop height."""
         return max(self.drop.fall_time - self.fall_time(), LEAST_LOST * self.drop.opening_time)
 
 
@@ -104,7 +104,8 @@ class Lesson:
         return u | {"h_mean": height}, slopes
 
     def slope(self, rows: Rows) -> tuple[float, dict[str, float]]:
-        """Loss, and its derivatives by the coordinates of SCALED, also by way of the drop height."""
+        """Loss, and its derivatives by the coordinates of SCALED, including those through the drop
+        height."""
         u, by = self.coordinates(rows)
         of = self.problem
         data = tuple(jnp.asarray(part) for part in (of.summaries, of.centre, of.scale))
@@ -126,8 +127,8 @@ height_and_slopes = jax.jit(jax.value_and_grad(_height), static_argnums=3)
 
 
 def choose_frame(targets: Sequence[Target]) -> TraceFrame | None:
-    """One of few frames that holds the landing of `targets`, or None where they end before it is
-    over.
+    """The frame, one of few, that contains the landing of `targets`, or None if they end before it
+    is over.
     """
     landing = float(np.quantile([landing_time(trace) for trace in targets], 0.9))
     shortest = min(float(trace.time[-1]) - trace.first_impact for trace in targets)
@@ -139,7 +140,7 @@ def choose_frame(targets: Sequence[Target]) -> TraceFrame | None:
 
 
 def empty_table(ensembles: Sequence[Ensemble], version: str) -> TransferTable:
-    """A table whose coefficients are zero: conditions and their range are those of `ensembles`."""
+    """A table with coefficients of zero, for the conditions of `ensembles` and their ranges."""
     found = [measure_conditions(each.drop) for each in ensembles]
     conditions = {}
     for name in found[0]:

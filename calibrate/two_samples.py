@@ -12,8 +12,8 @@ PERMUTATIONS = 499
 
 @dataclass(frozen=True)
 class Difference:
-    """How far two samples are apart: energy distance, 0 in the mean for one distribution, and p of
-    a permutation test.
+    """Distance of two samples: energy distance, 0 in the mean for one distribution, and p of a
+    permutation test.
     """
 
     distance: float
@@ -63,7 +63,7 @@ class SampleComparison:
 
     @property
     def passed(self) -> int:
-        """How many single comparisons have p of at least 0.05."""
+        """Number of single comparisons with p of at least 0.05."""
         return sum(difference.p >= 0.05 for difference in self.single.values())
 
     def worst(self, count: int = 3) -> list[str]:

@@ -67,8 +67,8 @@ def data_sets(
     count: int,
     seed: int,
 ) -> MeasuredSummaries:
-    """`count` synthetic data sets of the composition of `targets`, other random numbers than any
-    fit's: `Measured` with leading axis.
+    """`count` synthetic data sets of the composition of `targets`, with other random numbers than
+    any fit: `MeasuredSummaries` with a leading axis.
     """
     many = _with_plain_normals(draw_random_numbers(targets, count * len(targets), seed), seed)
     height, spread, lags = _replicas(theta, many, measured, many.z.shape[0])
@@ -260,8 +260,10 @@ def table(
 
 
 def without_spread(measured: MeasuredSummaries) -> list[str]:
-    """Says so where many traces tell no spread at all: the balance of momentum gives a negative
-    variance of the drop heights. Pieces of a portion of one have none.
+    """A line on traces without spread, if there are many: the balance of momentum gives a negative
+    variance of the drop heights.
+
+    The pieces of a portion of one have no spread.
     """
     count = int(np.sum(np.asarray(measured.spread) <= measured.floor))
     if count <= 0.05 * len(measured.spread):

@@ -1,4 +1,4 @@
-"""Quantities and units that the header of a table names, as instruments and people write them."""
+"""Quantities and units in the header of a table, as instruments and people write them."""
 
 import re
 from dataclasses import dataclass
@@ -88,7 +88,7 @@ NONE = Unit("none")
 
 
 def unit_named(text: str) -> Unit:
-    """The unit that `text` writes, without brackets; "unknown" where it is none of those known."""
+    """The unit that `text` writes, without brackets; "unknown" if it is none of the known ones."""
     text = _tidy(text)
     if not text:
         return NONE

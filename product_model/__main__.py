@@ -162,7 +162,8 @@ def _add_inputs(parser: argparse.ArgumentParser, forms: Sequence[str]) -> None:
 
 
 def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
-    """The inputs: as given, else of the fit or the product, else the defaults; and the fit."""
+    """The inputs, and the fit. Inputs that are not given come from the fit or the product, else
+    from the defaults."""
     from product_model import parameters, read_fit
     from product_model.fitted import FITTED
 
@@ -252,7 +253,7 @@ def _simulate(args: argparse.Namespace) -> None:
 def _block_size(
     params: Parameters, args: argparse.Namespace, varied: Mapping[str, "np.ndarray"]
 ) -> int:
-    """Number of portions that are computed at a time; a note where the file becomes large.
+    """Number of portions in a block; prints a note if the file becomes large.
 
     Raises `BadInput` where a table of all portions does not fit into memory.
     """
@@ -296,9 +297,7 @@ def _block_size(
 def _save_in_blocks(
     params: Parameters, args: argparse.Namespace, varied: Mapping[str, "np.ndarray"], block: int
 ) -> "Summary":
-    """Write more portions than are computed at a time, with a progress bar. The figure is that of
-    the first block.
-    """
+    """Write portions in several blocks, with a progress bar. The figure is that of the first block."""
     from tqdm import tqdm
 
     from product_model.monte_carlo import ensemble_blocks, join_summaries, summarize
@@ -338,7 +337,7 @@ def _save_in_blocks(
 
 
 def _plot(trace: "Trace", args: argparse.Namespace) -> None:
-    """Draw the figure if one is asked for."""
+    """Draw the figure if one is requested."""
     if not args.plot:
         return
     from product_model.plot import figure
@@ -356,7 +355,7 @@ STREAMED = 256  # samples computed at a time
 
 
 def _stream(args: argparse.Namespace) -> None:
-    """A line for each sample, as soon as it is there; after the last one of the trace it ends."""
+    """Print a line for each sample as soon as it is known, until the last one of the trace."""
     import jax
     import numpy as np
 
@@ -384,7 +383,7 @@ def _stream(args: argparse.Namespace) -> None:
 
 
 def _fmu(args: argparse.Namespace) -> None:
-    """Write a unit, print its path, and say on the standard error which kind it is."""
+    """Write a unit, print its path, and its kind on standard error."""
     from product_model.fmu import check_fmu, write_fmu
     from product_model.fmu_compiled import find_compiler, write_compiled_fmu
 
@@ -429,9 +428,7 @@ def _c(args: argparse.Namespace) -> None:
 
 
 def _read_weigher(args: argparse.Namespace) -> "Weigher":
-    """The estimator of --weigher, beside which no input of the model may be given. Raises
-    `BadInput`.
-    """
+    """The estimator of --weigher, which allows no input of the model. Raises `BadInput`."""
     from product_model.weigher_file import load_weigher
 
     usual: dict[str, Any] = {

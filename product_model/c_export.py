@@ -98,7 +98,7 @@ def write_sources(folder: Path, files: dict[str, str]) -> Path:
 
 
 def describe_impacts(landings: Landings | None) -> str:
-    """A sentence that says how often a piece lands."""
+    """A sentence on the number of landings of a piece."""
     if landings is None:
         return "The model of the paper: each piece lands once, in one rectangular pulse."
     numbers = ", ".join(str(count) for count in landings.impacts)
@@ -138,7 +138,7 @@ def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]
 
 
 def set_macro(header: str, macro: str, value: str) -> str:
-    """`header` with another default of a macro."""
+    """`header` with a new default of a macro."""
     changed, count = re.subn(rf"(#define {macro}) \w+", rf"\1 {value}", header)
     assert count == 1, macro
     return changed

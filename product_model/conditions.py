@@ -57,7 +57,8 @@ def product_conditions(
 
 
 def scene_conditions(scene: "Scene") -> tuple[DropConditions, list[str]]:
-    """The same for a scene in which a portion falls from a feed bucket. Raises SceneError."""
+    """The conditions for a scene in which a portion falls from a feed bucket, and the neglected
+    effects. Raises SceneError."""
     from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
     from dem_jax.scene.material_properties import build_material_table, find_piece_rows
 

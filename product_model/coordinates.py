@@ -49,7 +49,7 @@ def to_parameter(name: str, u: Any) -> Any:
 
 
 def to_values(u: Values, off: Values | None = None) -> Values:
-    """The parameters at coordinates `u`; those of `off` have the values given there."""
+    """The parameters at coordinates `u`; parameters in `off` have the values given there."""
     values = {name: to_parameter(name, u[name]) for name in NAMES if name not in (off or {})}
     values |= off or {}
     return values | {"gamma_high": values["gamma_low"] + values["gamma_high"]}

@@ -1,4 +1,4 @@
-"""A scale that decides: the reading counts when its own error bar is within the tolerance.
+"""The decision of a scale: a reading counts once its error bar is within the tolerance.
 
 1.96 standard deviations of a reading hold 95 % of the portions. Few portions are known when it is
 learnt how wide that is, so that errors have the tails of a t distribution of four degrees of
@@ -16,7 +16,7 @@ NORMAL_95 = 1.96  # standard deviations of a reading that hold 95 %
 
 
 def is_decided(reading: Reading, tolerance: float, confidence: float = CONFIDENCE) -> Array:
-    """Whether a reading may be taken: with this confidence its error is within the tolerance (g).
+    """Whether a reading counts: its error is within the tolerance (g) with this confidence.
 
     Raises `BadInput` for a tolerance or a confidence that is none.
     """
@@ -51,7 +51,7 @@ def t_quantile(share: float) -> float:
 def first_decision(
     reading: Reading, tolerance: float, confidence: float = CONFIDENCE
 ) -> np.ndarray:
-    """[..] the first sample at which readings [.., n] may be taken; -1: none.
+    """[..] the first sample at which readings [.., n] count; -1: none.
 
     Raises `BadInput`, as `is_decided`.
     """

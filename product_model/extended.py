@@ -50,8 +50,8 @@ FIRST_GAP = 2  # impacts k and k + 1 of a landing are max(k, FIRST_GAP) impact_d
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Landings:
-    """The numbers that the extended model has beside the paper's; meaning, unit and range of each
-    are in `ADDITIONS`.
+    """The additional parameters of the extended model; meaning, unit and range of each are in
+    `ADDITIONS`.
 
     The defaults are those of nine marshmallows in the stock scene `weigh-bucket` of the discrete
     element model. All can be traced, mapped and differentiated, but for `impacts`, the number of
@@ -73,7 +73,7 @@ class Landings:
     shape: str = field(default="triangle", metadata={"static": True})
 
     def replace(self, **changes: Any) -> "Landings":
-        """The same numbers but for `changes`."""
+        """A copy with `changes`."""
         return replace(self, **changes)
 
     def values(self) -> dict[str, Any]:
@@ -155,14 +155,12 @@ OFF = Landings(0.0, 1e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, shape="re
 
 
 def choose_impacts(pieces: int) -> tuple[int, ...]:
-    """Impacts of each landing of a portion; fewer where the many pieces make a trace anyway."""
+    """Number of impacts in each landing of a portion; fewer for portions of many pieces."""
     return (7, 3, 3, 2, 1) if pieces <= 16 else (4, 2, 2, 1) if pieces <= 64 else (3, 2, 1)
 
 
 def check_landings(landings: Landings, error: type[Exception] = BadInput) -> Landings:
-    """`landings`, or an error with one line. Traced numbers cannot be looked at and are taken as
-    they are.
-    """
+    """`landings`, or an error with one line. Traced numbers have no value yet and are not checked."""
     for row in ADDITIONS:
         value = getattr(landings, row.name)
         if isinstance(value, jax.core.Tracer):
@@ -222,7 +220,7 @@ class LandingNumbers:
 
 
 def count_numbers(impacts: tuple[int, ...]) -> int:
-    """How many random numbers a piece needs beside its drop height."""
+    """Number of random numbers of a piece beside its drop height."""
     return 1 + 2 * (len(impacts) - 1) + 2 * (sum(impacts) - len(impacts))
 
 
@@ -293,7 +291,7 @@ class LandingPulses:
         return self.start + self.duration
 
     def weight_steps(self) -> tuple[jax.Array, jax.Array]:
-        """Times (s) and weights (N) that come to rest then."""
+        """Times (s), and weights (N) that come to rest at them."""
         return self.step_time, self.weight
 
 
@@ -351,9 +349,12 @@ def landing_pulses(
 
     Args:
         extended: the additions.
-        height: [pieces] (m) drop heights; mass: [pieces] (kg).
-        dt_impact: (s) length of a pulse of a third of a piece's momentum; h_mean: (m); gravity:
-        (m/s2). numbers: random numbers.
+        height: [pieces] (m) drop heights.
+        mass: [pieces] (kg).
+        dt_impact: (s) length of a pulse of a third of a piece's momentum.
+        h_mean: (m) mean drop height.
+        gravity: (m/s2).
+        numbers: random numbers.
     """
     release, place = release_times(extended, numbers.release)
     fall = jnp.sqrt(2.0 * height / gravity)
@@ -412,7 +413,7 @@ def _flight(speed: jax.Array, depth: jax.Array, gravity: Numbers) -> tuple[jax.A
 def latest_end(
     extended: Mapping[str, float], fall: float, dt_impact: float, gravity: float
 ) -> float:
-    """(s) by when nearly all pulses are over, of pieces that fall for the time `fall` (s) at most.
+    """Time (s) at which nearly all pulses are over, for pieces that fall for at most `fall` (s).
     extended: its `values`.
     """
     skew = extended["release_skew"]

@@ -1,4 +1,4 @@
-"""The parameters that a calibration found (fit.json), and draws from how sure it is of them."""
+"""The parameters of a calibration (fit.json), and random draws within their uncertainty."""
 
 import json
 from dataclasses import dataclass

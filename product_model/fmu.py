@@ -86,7 +86,7 @@ def _copy_with_library(made: Path, path: Path) -> None:
 
 @contextmanager
 def _preserve_imports() -> Iterator[None]:
-    """pythonfmu puts folders into the path of imports and leaves them there."""
+    """Restore the import path, to which pythonfmu adds folders."""
     path = list(sys.path)
     try:
         yield

@@ -153,9 +153,7 @@ def binary_name(fmi: str, identifier: str = IDENTIFIER) -> str:
 
 
 def compile_unit(compiler: str, files: dict[str, str], sources: Sequence[str]) -> bytes:
-    """The library that the compiler makes of the files. Raises `BadInput` with the compiler's first
-    line if it fails.
-    """
+    """Compile the files to a library. Raises `BadInput` with the compiler's first line if it fails."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in files.items():
             Path(folder, name).write_text(text, encoding="utf-8")

@@ -134,8 +134,8 @@ def _output(name: str, reference: int, description: str, unit: str) -> Variable:
 def describe_model(
     fmi: str, kind: UnitKind, variables: list[Variable], step: float, token: str
 ) -> bytes:
-    """modelDescription.xml of a unit of FMI 2.0 or 3.0. step: (s) by default. token: as the library
-    has it.
+    """modelDescription.xml of a unit of FMI 2.0 or 3.0. step: (s) default step; token: the token
+    that the library contains.
     """
     root = ET.Element(
         "fmiModelDescription",

@@ -26,12 +26,12 @@ SLACK = 1e-6  # of a sample: by how much a step may be off
 
 
 def released_once(library: Path) -> None:
-    """pythonfmu's library for Linux, if it is loaded from there, lets its hold on Python go before
-    the process ends.
+    """Let pythonfmu's library for Linux, if it is loaded from there, release Python before the
+    process ends.
 
-    By itself (0.7.0) it does so twice as the process ends: the static pointer is destroyed, then
-    set to nothing by the library's destructor, which writes into memory that is free by then and
-    aborts a process now and then.
+    By itself (0.7.0) it releases Python twice as the process ends: the static pointer is destroyed,
+    then set to nothing by the library's destructor, which writes into memory that is free by then
+    and sometimes aborts the process.
     """
     if sys.platform.startswith("linux") and sys.orig_argv:  # a process of Python's own, which runs
         # what is registered here

@@ -50,7 +50,7 @@ class Parameters:
     precision: str = _static(default="f64")
 
     def replace(self, **changes: Any) -> "Parameters":
-        """The same inputs but for `changes`."""
+        """A copy with `changes`."""
         return replace(self, **changes)
 
 
@@ -129,8 +129,8 @@ MOST_SEED = 2**31 - 1
 
 
 def checked_seed(seed: Any, most: int = MOST_SEED) -> int:
-    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to the most
-    allowed.
+    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to the
+    largest allowed.
     """
     is_whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not is_whole or not 0 <= seed <= most:
@@ -193,9 +193,7 @@ def one_line(error: ValidationError) -> str:
 
 
 def check(params: Parameters) -> Parameters:
-    """`params`, or `BadInput` with one line. Traced leaves cannot be looked at and are taken as
-    they are.
-    """
+    """`params`, or `BadInput` with one line. Traced leaves have no value yet and are not checked."""
     values = {f.name: getattr(params, f.name) for f in fields(params) if f.name != "landings"}
     if params.landings is not None:
         check_landings(params.landings)

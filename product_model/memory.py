@@ -1,4 +1,4 @@
-"""Memory that portions need, and memory that there is."""
+"""Memory that portions need, and available memory."""
 
 import os
 from pathlib import Path
@@ -21,14 +21,14 @@ def portion_bytes(
 
 
 def count_pulses(params: Parameters, pieces: int) -> int:
-    """Number of pulses of a portion, by which its memory is counted: those of the extended model
-    are a few for each piece.
+    """Number of pulses of a portion, to which its memory is proportional; the extended model has a
+    few for each piece.
     """
     return pieces if params.landings is None else pieces * (1 + sum(params.landings.impacts))
 
 
 def available_memory() -> int | None:
-    """Bytes that this process may still take, None where the system does not say."""
+    """Bytes available to this process, None if the system does not report them."""
     found = [_available_in_system(), _available_in_container()]
     return min((number for number in found if number is not None), default=None)
 
@@ -56,8 +56,8 @@ def _available_in_container() -> int | None:
 
 
 def check_memory(runs: int, needed: int, advice: str) -> None:
-    """Raise `BadInput` where `runs` portions need more bytes than are available. advice: how to
-    need fewer.
+    """Raise `BadInput` where `runs` portions need more bytes than are available. advice: how to use
+    less memory.
     """
     available = available_memory()
     if available is not None and needed > available:

@@ -89,7 +89,7 @@ class Pulses:
         )
 
     def weight_steps(self) -> tuple[jax.Array, jax.Array]:
-        """Times (s) and weights (N) that come to rest then, [..., pieces] each."""
+        """Times (s), and weights (N) that come to rest at them, [..., pieces] each."""
         return self.ends(), self.weight
 
     @property

@@ -46,7 +46,7 @@ def _portions(
 
 
 def with_own(leaves: Leaves, own: Leaves) -> Leaves:
-    """`leaves` with the values of `own` in their place, those of the landings among them."""
+    """`leaves` with the values of `own`, including those of the landings."""
     added = {name: value for name, value in own.items() if name in ADDED}
     if not added:
         return leaves | own
@@ -58,14 +58,14 @@ def with_own(leaves: Leaves, own: Leaves) -> Leaves:
 
 
 def _with_values(params: Parameters, values: Mapping[str, float]) -> Parameters:
-    """`params` with these values, those of the landings among them."""
+    """`params` with these values, including those of the landings."""
     given = with_own({"landings": params.landings}, dict(values))
     return params.replace(**given)
 
 
 @dataclass(frozen=True)
 class _Prepared:
-    """All that a program for several portions takes: leaves, keys [runs], static inputs, varied
+    """Arguments of a program for several portions: leaves, keys [runs], static inputs, varied
     leaves [runs].
     """
 
@@ -85,8 +85,8 @@ class _Prepared:
 
 
 def widest_grid(params: Parameters, varied: Mapping[str, np.ndarray]) -> Grid:
-    """The sample times of portions of which some leaves vary, name -> [runs]: long enough for the
-    largest.
+    """The sample times for portions with varied leaves, name -> [runs]: long enough for the longest
+    portion.
     """
     ends = {
         name: float((np.min if name in SHORTENING else np.max)(column))

@@ -1,4 +1,4 @@
-"""Files that are to be written."""
+"""Checks of output paths."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -14,9 +14,9 @@ def check_target(
     allowed: str,
     overwrite: bool = False,
 ) -> Path:
-    """`path` if a file may be written there, else `BadInput`: another suffix, missing folder, or a
-    file that nobody asked to replace. key: the argument that names it; allowed: the suffixes in
-    words.
+    """`path` if a file may be written there, else `BadInput`: another suffix, missing folder, or an
+    existing file that must not be replaced. key: the argument that names it; allowed: the suffixes
+    in words.
     """
     path = Path(path)
     if path.suffix not in suffixes:

@@ -98,8 +98,8 @@ class Trace:
 
 
 def _concrete(value: Any) -> Any:
-    """A NumPy array of a value that is one, so that its precision does not hang on the global flag;
-    a traced value as it is.
+    """A concrete value as a NumPy array, so that its precision does not depend on the global flag;
+    a traced value unchanged.
     """
     return value if isinstance(value, jax.core.Tracer) else np.asarray(value)
 
@@ -175,8 +175,7 @@ def portion(
 
 
 def in_precision(params: Parameters) -> contextlib.AbstractContextManager[Any]:
-    """Context in which arrays of the precision that `params` need exist, whatever the global flag
-    says.
+    """Context that allows arrays of the precision of `params`, regardless of the global flag.
 
     Landings are rendered in double precision, in f32 as well: slopes that are summed up twice lose
     four digits otherwise.
@@ -205,7 +204,7 @@ def _cast(value: Any, dtype: DType) -> np.ndarray | jax.Array:
 
 
 def static_parameters(params: Parameters) -> dict[str, Any]:
-    """The static choices that fix the program: a new set compiles anew."""
+    """The static choices that define the program; a new set needs a new compilation."""
     return {
         "pieces": count_pieces(params),
         "grid": build_grid(params),

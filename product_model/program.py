@@ -1,5 +1,5 @@
-"""How a program of the command line begins and ends: its streams, signals, output that nobody
-takes, a missing device.
+"""Start and end of a command-line program: its streams, signals, closed output pipes, a missing
+device.
 """
 
 import contextlib
@@ -25,8 +25,8 @@ _open_line = threading.Event()  # set while a progress bar stands on the last li
 
 
 def begin_program() -> None:
-    """From now on SIGNALS end the process at once, if it is one of PROGRAMS and not a session of
-    Python's or a test.
+    """Let SIGNALS end the process at once from now on, if it is one of PROGRAMS and not a Python
+    session or a test.
 
     A thread waits for them, as Python's own handler must wait for a call into XLA to return, which
     can take a minute.
@@ -45,8 +45,8 @@ def begin_program() -> None:
 
 
 def _program_name() -> str | None:
-    """Which of PROGRAMS this process was started as, by `python -m` or the command of that name;
-    None: as none.
+    """The name in PROGRAMS as which this process was started, by `python -m` or the command of that
+    name; None: another program.
     """
     if threading.current_thread() is not threading.main_thread() or not sys.argv:
         return None
@@ -165,13 +165,13 @@ class QuietStream:
 
 
 def set_open_line(is_open: bool) -> None:
-    """Say whether a progress bar stands on the last line of stderr."""
+    """Note whether a progress bar stands on the last line of stderr."""
     _open_line.set() if is_open else _open_line.clear()
 
 
 def _open_streams() -> None:
-    """Standard streams that are closed lead to nowhere, and none fails at a letter that its
-    encoding lacks.
+    """Redirect closed standard streams to the null device, and let no stream fail at a character
+    that its encoding lacks.
     """
     for stream, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, stream) is None:

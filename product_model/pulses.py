@@ -123,10 +123,10 @@ def wide_dtype() -> Any:
 class Corners:
     """The corners of triangular pulses, where the slope of the force changes.
 
-    position: [3, pulses] (samples) after the start of the grid; change: [3, pulses] (N) of the
-    slope per sample quantum: [] (N) power of two of which all changes are multiples, so that sums
-    of them are exact: the slope after a pulse is zero, where rounding errors of it would grow with
-    time
+    position: [3, pulses] (samples) after the start of the grid
+    change: [3, pulses] (N) of the slope per sample
+    quantum: [] (N) power of two of which all changes are multiples, so that their sums are exact:
+    the slope after a pulse is zero, where its rounding errors would grow with time
     """
 
     position: jax.Array

@@ -30,8 +30,8 @@ FORM = ("v108", "v108")  # of HDF5: older ones do not check what says where data
 
 
 def check_output(path: FileName, overwrite: bool = False) -> Path:
-    """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or a file that
-    nobody asked to replace.
+    """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or an existing
+    file that must not be replaced.
     """
     return check_target("out", path, SUFFIXES, f"one of {', '.join(SUFFIXES)}", overwrite)
 

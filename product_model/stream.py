@@ -72,8 +72,8 @@ def start(params: Parameters, key: Key) -> Stream:
 
 @partial(jax.jit, static_argnames=("grid", "form"))
 def _sorted_edges(pulses: PulseTrain, grid: Grid, form: str) -> Stream:
-    """Compiled as the batch form is, whose division by the sample time some versions of XLA round
-    otherwise.
+    """Sorted edges of a portion, compiled as in the batch form, as some versions of XLA round its
+    division by the sample time differently.
     """
     times, jumps = pulses.edges()
     position = (times - grid.start) / grid.sample
@@ -134,7 +134,7 @@ def _sorted_corners(pulses: PulseTrain, triangles: Triangles, grid: Grid, form: 
 
 def step(stream: Stream) -> tuple[Stream, jax.Array]:
     """(next stream, force [] (N) of this sample). O(log pieces); after the last sample of the grid
-    the static weight goes on.
+    the static weight remains.
     """
     passed = jnp.searchsorted(
         stream.bin, stream.sample, side="right", method="scan_unrolled"

@@ -189,7 +189,7 @@ class TransferTable:
     errors: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def row(self, drop: DropConditions, terms: Sequence[str]) -> np.ndarray:
-        """[1 + terms] by which coefficients are multiplied."""
+        """[1 + terms] factors of the coefficients."""
         found = measure_conditions(drop)
         centred = {
             name: (found[name] - centre) / width
@@ -200,7 +200,7 @@ class TransferTable:
         )
 
     def outside(self, drop: DropConditions) -> list[str]:
-        """In words: conditions of `drop` beyond those that were learnt from."""
+        """Conditions of `drop` outside the range of the training set, in words."""
         lines = []
         for name, value in measure_conditions(drop).items():
             low, high = self.conditions[name][2:]
@@ -242,8 +242,8 @@ class TransferTable:
 def solve_height(
     values: Mapping[str, Any], fall_time: Any, gravity: float, normal: Any, v: Any, release: Any
 ) -> jax.Array:
-    """The mean drop height (m) from which portions bring the momentum of a fall from rest for a
-    given time, in the mean.
+    """The mean drop height (m) at which the mean momentum of portions is that of a fall from rest
+    for a given time.
 
     A piece that is released at r gives g (T - r - dt_impact) times its mass until a time T at which
     it is at rest (`extended`), so that the portion brings g (first impact - mean r - dt_impact)

@@ -77,7 +77,7 @@ def weigh(args: argparse.Namespace) -> None:
 
 
 def _print(weigher: Any, samples: Iterator[float], args: argparse.Namespace) -> None:
-    """A line for each reading, or for each portion the one that counts."""
+    """Print a line for each reading, or for each portion the one that counts."""
     from product_model.decision import is_decided
     from product_model.weigher import EMPTY, STATUS, Reading, describe_doubts
 
@@ -99,8 +99,8 @@ def _print(weigher: Any, samples: Iterator[float], args: argparse.Namespace) -> 
 
 
 def read_samples(lines: TextIO, name: str, column: int | None = None) -> Iterator[float]:
-    """The numbers of a column (None: the last) of lines, as they come; the first line may be a
-    header. Raises `BadInput`."""
+    """Yield the numbers of a column (None: the last) of lines as they arrive; the first line may be
+    a header. Raises `BadInput`."""
     for number, line in enumerate(lines, 1):
         cells = line.replace(";", ",").replace("\t", ",").split(",")
         if not line.strip():

@@ -18,7 +18,7 @@ class Parser(argparse.ArgumentParser):
     more: Callable[[], str] | None = None
 
     def format_help(self) -> str:
-        """The help."""
+        """The text of the help, with ``more`` at its end."""
         return super().format_help() + (f"\n{self.more()}" if self.more else "")
 
     def error(self, message: str) -> NoReturn:
@@ -34,8 +34,8 @@ def join_lines(message: object) -> str:
 def create_command(
     commands: Commands, name: str, action: Callable[[Args], None], text: str, now: str | None = None
 ) -> Parser:
-    """A command that calls ``action``. now: the command that has replaced it; it still works, but
-    the list of commands leaves it out.
+    """A command that calls ``action``. now: the command that replaces it; the former one still
+    works, but is not in the list of commands.
     """
     if now is None:
         made = commands.add_parser(name, help=text, description=text)

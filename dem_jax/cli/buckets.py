@@ -60,7 +60,7 @@ def show_buckets(args: Args) -> None:
 
 
 def _weigh_bucket_fill(scene: "Scene") -> "BucketFill":
-    """How full the scene's portion makes the weigh bucket."""
+    """Describe how full the scene's portion makes the weigh bucket."""
     from dem_jax.assembly import bucket_fill
     from dem_jax.assembly.piece_arrays import build_piece_set
 

@@ -35,7 +35,7 @@ def add_command(commands: Commands) -> None:
 
 
 def export_file(args: Args) -> None:
-    """Write a file in the format that is asked for. Raises RecordError."""
+    """Write a file in the requested format. Raises RecordError."""
     form = args.to or _format_of(args)
     if form != "vtk" and args.out is not None and Path(args.out).suffix != f".{form}":
         raise RecordError(

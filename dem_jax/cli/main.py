@@ -92,7 +92,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
 
 
 def _locate_error() -> str:
-    """Where an error happened that names no file."""
+    """Place of an operating-system error that names no file."""
     try:
         os.getcwd()
     except OSError:

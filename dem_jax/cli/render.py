@@ -41,7 +41,7 @@ def add_instants(kind: Any) -> None:
 
 
 def add_view(made: Parser) -> None:
-    """The arguments of how the pieces are drawn."""
+    """Add the arguments for the view and the colours of the pieces."""
     made.add_argument(
         "--colour",
         choices=["speed", "piece"],

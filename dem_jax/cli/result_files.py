@@ -34,7 +34,7 @@ def load_run_bodies(args: Args) -> tuple["Run", tuple[Any, Any, Any]]:
 
 
 def load_single_run(args: Args) -> "Run":
-    """The run of a file, or the one asked for of an ensemble. Raises RecordError."""
+    """The run of a file, or the requested one of an ensemble. Raises RecordError."""
     from dem_jax.io.run_files import load_run
 
     found = load_run(args.file)

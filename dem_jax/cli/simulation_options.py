@@ -86,7 +86,7 @@ def load_scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
 
 
 def check_ending(out: str | None) -> None:
-    """Raise RecordError for a file of results whose name is of something else."""
+    """Raise RecordError for a file of results with another ending."""
     if out and Path(out).suffix.lower() not in HDF5:
         instead = "python -m dem_jax export makes .csv and .xlsx of them"
         raise RecordError(
@@ -151,7 +151,7 @@ def use_cache() -> None:
 def _show_warning(
     show: Callable[..., None], folder: Path, message: Warning | str, *more: Any, **named: Any
 ) -> None:
-    """Show a warning, but for those of JAX on the folder of compiled programs.
+    """Show a warning, except those of JAX on the folder of compiled programs.
 
     A program that was cut short, by a kill or a full disk, is removed: JAX would compile it and
     warn each time, and never replace it.

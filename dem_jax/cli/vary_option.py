@@ -1,4 +1,4 @@
-"""Keys that differ between the runs of an ensemble, as a person writes them on a command line."""
+"""Keys that differ between the runs of an ensemble, as options of the command line."""
 
 import itertools
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ ALLOWED = "allowed: KEY=FROM:TO of whole numbers, KEY=FROM:TO:STEP, or KEY=VALUE
 
 def parse_varied_keys(texts: Sequence[str], runs: int) -> dict[str, list[Any]]:
     """The value of each key for each of a number of runs: all combinations, the first key slowest,
-    again from the first.
+    repeated from the first one.
 
     Raises SceneError.
     """

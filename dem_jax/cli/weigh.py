@@ -109,7 +109,7 @@ def weigh_files(args: Args) -> None:
 
 
 def _read_tolerances(args: Args) -> Sequence[float]:
-    """(kg), of --tune the only one. Raises RecordError."""
+    """Tolerances (kg); for --tune a single one. Raises RecordError."""
     from dem_jax.weighing.settling import TOLERANCES
 
     if args.tune is not None and args.tolerance:
@@ -191,8 +191,8 @@ def _tune_filters(
 
 
 def _read_traces(args: Args) -> list["WeightTrace"]:
-    """The traces of the files, on the load cell and with the noise that the arguments ask for.
-    Raises RecordError, SceneError.
+    """The traces of the files, with the load cell and the noise of the arguments. Raises
+    RecordError, SceneError.
     """
     from dem_jax.visualization.scale_readings import apply_cell, read_settled_trace
     from dem_jax.weighing.cell import build_cell, read_cell_file

@@ -1,5 +1,5 @@
-"""python -m dem_jax.cli.worker: one command of the app, in a process that has imported everything
-before it is asked for.
+"""python -m dem_jax.cli.worker: one command of the app, in a process that has imported all modules
+before.
 
 The first line of standard input is JSON: {"program": "dem_jax", "argv": ["run", "weigh-bucket"]}.
 The worker acts as ``python -m PROGRAM ARGV``, with the same output and exit code.

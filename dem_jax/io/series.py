@@ -42,8 +42,8 @@ def list_stored_quantities(system: System) -> list[Quantity]:
 def frames_from_poses(
     poses: np.ndarray, frames: np.ndarray, time: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """The fields of io.run_data.Frames of poses [.., F, 13, N]; frames: Built.frames, [.., N, 4];
-    time: [F] (s).
+    """The fields of io.run_data.Frames of poses [.., F, 13, N]; frames: AssembledSystem.frames,
+    [.., N, 4]; time: [F] (s).
     """
     poses = np.moveaxis(poses, -2, -1)
     back = quaternions.conjugate(

@@ -135,8 +135,8 @@ def collect_info(
 ) -> dict[str, Any]:
     """Additions of a span to the file's info: ``notes`` for the user, and ``reruns``, which were
     handled; ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a
-    portion settled if that was cut short; ``collisions``, see collided.told; ``moving``, see
-    count_moving.
+    portion settled if that was cut short; ``collisions``, see
+    ``dynamics.collision_summary.summarize_collisions``; ``moving``, see count_moving.
     """
     facts: dict[str, Any] = {
         name: said for name, said in (("notes", notes), ("reruns", reruns)) if said

@@ -99,13 +99,14 @@ def _height_above(points: np.ndarray, parts: Sequence[ConvexPart]) -> np.ndarray
 
 
 def extend_panel(panel: Shape, across: np.ndarray, reach: float, planes: np.ndarray) -> Shape:
-    """The panel as far as contacts are concerned, where others continue it beyond its seams.
+    """The panel for contacts, extended where others continue it beyond its seams.
 
     Args:
         panel: about its own centre.
-        across: [m, 3] unit normals of its sides at seams: the panel continues by a reach (m) beyond
-        them. planes: [k, 4] outward normals and offsets (m) of neighbours beyond convex seams,
-        which end it.
+        across: [m, 3] unit normals of its sides at seams.
+        reach: (m) by which the panel continues beyond these sides.
+        planes: [k, 4] outward normals and offsets (m) of neighbours beyond convex seams, which end
+        it.
     """
     if not len(across):
         return panel

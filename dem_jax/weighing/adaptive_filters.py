@@ -54,8 +54,8 @@ class FallingBandwidth:
 
 @dataclass(frozen=True)
 class GrowingWindow:
-    """The mean of all readings from a number of readings after the first impact on; before that the
-    readings as they are.
+    """The mean of all readings since a number of readings after the first impact; before that the
+    readings themselves.
 
     wait: readings. threshold: (kg) at which a reading is that of the first impact.
     """
@@ -65,7 +65,7 @@ class GrowingWindow:
 
     @property
     def delay(self) -> float:
-        """Not a number: it grows."""
+        """nan, as the delay grows."""
         return float("nan")
 
     def initial_memory(self, lead: tuple[int, ...]) -> Any:

@@ -38,7 +38,7 @@ class ChainState(NamedTuple):
 
 def build_chain(sample: float, rate: float | None, text: str) -> SignalChain:
     """The chain of traces of a sample time (s) with a rate (1/s), None: that of the samples, and a
-    filter as in filters.ALLOWED.
+    filter, see filters.ALLOWED.
 
     Raises ValueError.
     """
@@ -88,8 +88,8 @@ def weigh_trace(
 
 
 def _reading_ends(of: SignalChain, given: int, seen: int) -> np.ndarray:
-    """Where readings end, in samples from the beginning: that of the last one given, and of those
-    that are complete by now.
+    """Ends of readings, in samples from the beginning: the end of the last one given, and of those
+    completed since.
     """
     number = np.arange(given, max(given, int(seen / of.samples) + 1) + 1)
     ends = np.round(number * of.samples, DIGITS)
@@ -97,5 +97,5 @@ def _reading_ends(of: SignalChain, given: int, seen: int) -> np.ndarray:
 
 
 def _add_samples(total: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """The sum, one sample after the other, so that it does not matter where blocks end."""
+    """Add samples to a sum one by one, so that the result does not depend on the ends of blocks."""
     return np.cumsum(np.concatenate([total, samples], axis=-1), axis=-1)[..., -1:]

@@ -1,5 +1,5 @@
 """Filters of a scale: a cascade of linear sections, by scipy.signal, each of gain 1 at rest, and of
-those in ``adaptive``.
+those in ``adaptive_filters``.
 """
 
 import re
@@ -63,14 +63,12 @@ class Filter:
 
     @property
     def delay(self) -> float:
-        """Group delay at rest, in readings: by which a slow change is late; nan for a window that
-        grows.
-        """
+        """Group delay at rest, in readings: the delay of a slow change; nan for a growing window."""
         return float(sum(section.delay for section in self.sections))
 
 
 def parse_filter(text: str, rate: float) -> Filter:
-    """The filter of a text as in ALLOWED, for readings of a rate (1/s). Raises ValueError."""
+    """The filter of a text, see ALLOWED, for readings of a rate (1/s). Raises ValueError."""
     parts = [text] if Path(text).is_file() else re.split(r"(?<![0-9.][eE])\+", text)
     return Filter(
         text,
@@ -180,9 +178,9 @@ def notch_filter(frequency: float, width: float, rate: float, name: str = "notch
 def input_shaper(
     frequency: float, damping_ratio: float, rate: float, impulses: float = 2, name: str = "shaper"
 ) -> Filter:
-    """The input shaper that leaves nothing of an oscillation: impulses half a damped period apart,
-    in the ratios of a binomial with the decay of the oscillation over that time (2: zero vibration;
-    3: zero derivative with respect to the frequency as well).
+    """The input shaper that cancels an oscillation: impulses half a damped period apart, in the
+    ratios of a binomial with the decay of the oscillation over that time (2: zero vibration; 3:
+    zero derivative with respect to the frequency as well).
 
     An impulse between two readings n and n + 1 is shared between them so that the oscillation at
     readings, p^k with p = exp(s / rate), is still cancelled exactly: 1 + a p^-n + b p^-(n + 1) = 0,
@@ -274,8 +272,8 @@ def load_filter_table(path: str | Path) -> Filter:
 
 
 def build_filter(sections: list[tuple[np.ndarray, np.ndarray]], name: str = "own") -> Filter:
-    """The filter of sections (b, a) of one's own. Raises ValueError for one that does not come to
-    rest, or shows nothing then.
+    """The filter of sections (b, a) of one's own. Raises ValueError for one that is not stable, or
+    has gain 0 at rest.
     """
     for b, a in sections:
         if not (np.isfinite(b).all() and np.isfinite(a).all() and a[0] != 0 and np.sum(b) != 0):
@@ -313,9 +311,10 @@ def filter_signal(of: Filter, values: np.ndarray) -> np.ndarray:
 
 
 def _normalize_section(b: np.ndarray, a: np.ndarray | Coefficients = (1.0,)) -> LinearSection:
-    """The coefficients of gain 1 at rest. An a_1, if of 0, has scipy go from reading to reading
-    with an FIR filter too, where it would else convolve, whose rounding depends on how many
-    readings there are.
+    """The section with coefficients of gain 1 at rest.
+
+    An a_1 is added if there is none, even 0, as scipy then also filters an FIR section reading by
+    reading. Otherwise it would convolve, with rounding that depends on the number of readings.
     """
     b, a = np.asarray(b, float) / a[0], np.asarray(a, float) / a[0]
     b = b * (a.sum() / b.sum())

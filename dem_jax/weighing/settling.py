@@ -1,4 +1,4 @@
-"""The time to weigh: from when on a reading may be believed; its quantiles over drops."""
+"""The time to weigh, from which on a reading is accurate; its quantiles over drops."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -46,7 +46,7 @@ class WeighingTimes(NamedTuple):
 def find_weighing_times(
     time: np.ndarray, readings: np.ndarray, truth: np.ndarray, impact: np.ndarray, tolerance: float
 ) -> WeighingTimes:
-    """The times to weigh of drops, with ``HOLD``; impact: [K] (s), first impact; the rest as for
+    """The times to weigh of drops, with ``HOLD``; impact: [K] (s), first impact; other arguments as
     ``time_to_weigh``.
     """
     release = time_to_weigh(time, readings, truth, tolerance, HOLD)
@@ -54,7 +54,7 @@ def find_weighing_times(
 
 
 def pool_weighing_times(parts: Sequence[WeighingTimes]) -> WeighingTimes:
-    """The times of all parts as those of one set of drops."""
+    """Join the times of all parts into one set of drops."""
     return WeighingTimes(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 

@@ -80,7 +80,7 @@ def add_noise(
 
 
 def draw_release_delays(noise: Noise | None, seed: Seed, count: int) -> np.ndarray:
-    """[count] (s) by which ``delay_releases`` has the release of each run come after the trigger;
+    """[count] (s) by which ``delay_releases`` moves the release of each run after the trigger;
     negative: before it.
     """
     if noise is None or not noise.release_jitter:
@@ -115,11 +115,11 @@ class _NoiseGenerators:
         self.runs = runs
 
     def list_generators(self, source: str) -> list[np.random.Generator]:
-        """One for each run."""
+        """Generators of random numbers, one for each run."""
         return [np.random.default_rng((*self._seed, k, SOURCES.index(source))) for k in self.runs]
 
     def draw_normal(self, source: str, count: int = 1) -> np.ndarray:
-        """[K, count] of mean 0 and variance 1."""
+        """Normal numbers [K, count] of mean 0 and variance 1."""
         return np.stack([each.standard_normal(count) for each in self.list_generators(source)])
 
 
@@ -228,7 +228,7 @@ def base_acceleration(time: np.ndarray, noise: Noise, draw: _NoiseGenerators) ->
 
 
 def _lead_time(noise: Noise, cell: Cell | None) -> float:
-    """(s) before the signal, in which the cell and the frame begin to shake."""
+    """Time (s) before the signal in which the vibration of cell and frame builds up."""
     decays = [noise.frame_damping_ratio * 2 * np.pi * noise.frame_frequency]
     decays += [] if cell is None else [float(np.min(cell.decay))]
     return min(LONGEST_LEAD, LEAD / max(min(decays), LEAD / LONGEST_LEAD))

@@ -94,8 +94,8 @@ def extract_trace(
 
 def _mean_signal(run: Run, cell: Cell | None, gravity: float) -> np.ndarray:
     """[.., T] (kg) means of the cell's signal over the sample intervals, by the balance of
-    momentum, k x + c x' = F - m x''; the signal at their ends for a file without the force on the
-    bucket.
+    momentum, k x + c x' = F - m x''. For a file without the force on the bucket, the signal at the
+    ends of the intervals.
     """
     signal = np.asarray(run.load_cell["weight"], np.float64)
     groups = [name for name in BUCKET if name in run.mean_force]
@@ -164,7 +164,7 @@ def _read_model_trace(file: "h5py.File", path: FileName, truth: float | None) ->
 def _find_truth(
     masses: dict[str, np.ndarray], block: str | None, truth: float | None, lead: tuple[int, ...]
 ) -> np.ndarray:
-    """[..] (kg)"""
+    """True mass [..] (kg) of a run."""
     if truth is not None:
         return np.full(lead, truth)
     name = _choose_block(masses, block)
@@ -179,7 +179,7 @@ def _find_truth(
 
 
 def _product_mass(masses: dict[str, np.ndarray], block: str | None) -> np.ndarray | float:
-    """[.., T] (kg) that lies in the block over time."""
+    """Mass [.., T] (kg) in the block over time."""
     name = _choose_block(masses, block)
     return np.asarray(masses[name], np.float64) if name in masses else 0.0
 

@@ -1,5 +1,5 @@
-"""The best filter of each family of the trade for a set of drops: found on one half of them, judged
-by the other.
+"""The best filter of each common family for a set of drops: found on one half of them, judged by
+the other.
 
 A drop counts by its time to weigh. The search minimises the 90 % quantile of it, since the first
 impact, over the drops of even number, then the median: a grid over the parameters of a family, then
@@ -35,7 +35,7 @@ DAMPING_RATIO = 0.02  # of a cell that is not known
 
 
 class Drops(NamedTuple):
-    """Signals of K drops as a converter gives them.
+    """Signals of K drops after the converter.
 
     time: [m] (s) ends of the intervals, since the release. signal: [K, m] (kg). truth: [K] (kg),
     nan: not known. impact: [K] (s) first impact.
@@ -62,7 +62,7 @@ class SearchAxis(NamedTuple):
     is_whole: bool = False
 
     def grid_values(self) -> np.ndarray:
-        """The grid."""
+        """Values of the search grid."""
         return self._round_values(np.geomspace(self.low, self.high, self.points))
 
     def refine_grid(self, at: float, level: int) -> np.ndarray:
@@ -142,7 +142,7 @@ def tune_filters(
 
 
 def judge_filter(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> TunedFilter:
-    """A given filter, judged by the same drops as those that are tuned. Raises ValueError."""
+    """Judge a given filter by the same drops as the tuned filters. Raises ValueError."""
     search, judge = split_drops(drops)
     return TunedFilter(
         "given", text, *(weigh_drops(text, some, rate, tolerance) for some in (judge, search))
