@@ -48,6 +48,7 @@ STEP = 1e-4  # relative, of the central differences for frequency and damping
 LIMIT = 0.5  # largest relative error of frequency squared and damping
 # standard deviations by which estimate and filter, or a weight and its limits, must differ
 CLEAR = 4.0
+DOUBTED = 4.0  # factor on the error bar of an estimate whose signal is doubted
 # positions of the unknowns
 XI, ETA, RHO, LINE, TARE, KAPPA, LAMBDA, TOTAL, SHAPES = 0, 1, 2, 3, 5, 6, 7, 8, 9
 
@@ -172,8 +173,9 @@ class WeigherState(NamedTuple):
 class Reading(NamedTuple):
     """grams: net weight. sd: (g) its standard deviation; of a filter the error that it had as long
     after the first impact of portions learnt, and its own scatter in the last moments. believed:
-    whether grams is the estimator's. status: EMPTY, ESTIMATE or FALLBACK. doubts: bits that say why
-    it is the filter's."""
+    whether grams is the estimator's, without a doubt. status: EMPTY, ESTIMATE or FALLBACK. doubts:
+    bits that say why it is a fallback: the filter's reading or, while nothing but the signal is
+    doubted and this has the narrower error bar, the estimate with one of DOUBTED times the width."""
 
     grams: Array
     sd: Array
@@ -498,10 +500,12 @@ def _reading(xp: ModuleType, weigher: Weigher, state: WeigherState, filtered: Ar
     row = xp.maximum(state.row, 0)
     believed = is_on & ~is_doubted
     net = filtered - xp.where(is_on, state.tare, state.mean[..., TARE])
-    grams = xp.where(believed, state.mean[..., TOTAL], net)
     quiet = xp.sqrt(state.covariance[..., TARE, TARE])
     moving = xp.sqrt(weigher.filter_sd[row] ** 2 + state.filter_variance)
-    sd = xp.where(believed, _widened_sd(xp, weigher, state), xp.where(is_on, moving, quiet))
+    estimated = _widened_sd(xp, weigher, state) * xp.where(is_doubted, DOUBTED, 1.0)
+    is_narrower = is_on & (state.doubts == SIGNAL) & (estimated < moving)
+    grams = xp.where(believed | is_narrower, state.mean[..., TOTAL], net)
+    sd = xp.where(believed | is_narrower, estimated, xp.where(is_on, moving, quiet))
     status = xp.where(is_on, xp.where(is_doubted, FALLBACK, ESTIMATE), EMPTY)
     return Reading(grams, sd, believed, status, xp.where(is_on, state.doubts, 0))
 

@@ -13,7 +13,8 @@
 enum { XI, ETA, RHO, LINE, TARE = 5, KAPPA, LAMBDA, TOTAL, SHAPES };
 
 static const double CAP = 100.0, QUIET_SAMPLES = 6, EMPTY_AFTER = 0.1, STILL = 0.05, WARM_UP = 0.03;
-static const double STEP = 1e-4, LIMIT = 0.5, CLEAR = 4.0, AMPLITUDE_FREEDOM = 4.0;
+static const double STEP = 1e-4, LIMIT = 0.5, CLEAR = 4.0, DOUBTED = 4.0;
+static const double AMPLITUDE_FREEDOM = 4.0;
 static const double SD_OF_99_PERCENT = 3.250208668254262; /* t of 4 degrees of freedom */
 
 static double largest(double a, double b) { return a > b ? a : b; }
@@ -317,7 +318,8 @@ static void raise_doubts(weigher_state *s, double innovation, double filtered)
 static weigher_reading make_reading(const weigher_state *s, double filtered)
 {
     weigher_reading r;
-    double moving;
+    double moving, estimated;
+    int is_estimate;
     if (s->row < 0) {
         r.grams = filtered - s->mean[TARE];
         r.sd = sqrt(s->covariance[TARE][TARE]);
@@ -325,10 +327,12 @@ static weigher_reading make_reading(const weigher_state *s, double filtered)
         r.status = WEIGHER_EMPTY;
         return r;
     }
-    moving = DATA_FILTER_SD[s->row] * DATA_FILTER_SD[s->row] + s->filter_variance;
+    moving = sqrt(DATA_FILTER_SD[s->row] * DATA_FILTER_SD[s->row] + s->filter_variance);
+    estimated = widened_sd(s, s->row) * (s->doubts ? DOUBTED : 1.0);
+    is_estimate = !s->doubts || (s->doubts == WEIGHER_SIGNAL && estimated < moving);
     r.believed = !s->doubts;
-    r.grams = s->doubts ? filtered - s->tare : s->mean[TOTAL];
-    r.sd = s->doubts ? sqrt(moving) : widened_sd(s, s->row);
+    r.grams = is_estimate ? s->mean[TOTAL] : filtered - s->tare;
+    r.sd = is_estimate ? estimated : moving;
     r.status = s->doubts ? WEIGHER_FALLBACK : WEIGHER_ESTIMATE;
     r.doubts = s->doubts;
     return r;

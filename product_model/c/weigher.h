@@ -27,13 +27,13 @@ extern "C" {
 /* What the reading is. */
 enum { WEIGHER_EMPTY = 0, WEIGHER_ESTIMATE = 1, WEIGHER_FALLBACK = 2 };
 
-/* Bits that say why it is the filter's. */
+/* Bits that say why it is a fallback. */
 enum { WEIGHER_SIGNAL = 1, WEIGHER_WEIGHT = 2, WEIGHER_FILTER = 4 };
 
 typedef struct {
     double grams;     /* net weight */
     double sd;        /* (g) its standard deviation */
-    int32_t believed; /* 1: grams is the estimator's */
+    int32_t believed; /* 1: grams is the estimator's, without a doubt */
     int32_t status;   /* WEIGHER_EMPTY, WEIGHER_ESTIMATE or WEIGHER_FALLBACK */
     int32_t doubts;
 } weigher_reading;

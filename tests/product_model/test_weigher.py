@@ -154,6 +154,7 @@ def test_streaming_equals_batch_and_the_state_does_not_grow():
 
 def test_two_portions_and_a_late_piece_are_told_and_the_filter_reads():
     signals, weights, weigher = portions()
+    weigher = replace(weigher, widening=np.full(ROWS, 1e6))  # the filter is surer
     assert (weigher.read(signals).status[:, -1] == ESTIMATE).all()
     later = np.pad(signals - TARE, [(0, 0), (40, 0)])[:, : signals.shape[1]]
     both = weigher.read(signals + later)
@@ -291,3 +292,28 @@ def test_a_portion_unlike_those_learnt_has_a_wider_error_bar():
     check, usual = np.array([9.0, 2.0, 1.5]), np.log([1.0, 1.0, 0.5])
     assert scale_variance(np, check, usual) == pytest.approx(6.0, rel=1e-12)
     assert scale_variance(np, np.array([9.0, 0.2, 0.1]), usual) == 1.0
+
+
+def test_a_doubted_signal_is_read_with_the_narrower_error_bar():
+    """A knock raises a doubt. The estimate with four times its error bar is the reading while that of the
+    filter is wider; a doubt about the weight leaves the filter alone."""
+    signals, _, weigher = portions(1)
+    signals[0, LEAD + 60 :] += 5.0 * np.exp(-np.arange(ROWS - 60) / 5.0)
+    calm = weigher.read(signals[:, : LEAD + 60])
+    wide, narrow, outside = (
+        replace(weigher, **changes).read(signals)
+        for changes in ({}, {"widening": np.full(ROWS, 1e6)}, {"most": 1.0})
+    )
+    state = weigher.start()
+    for sample in signals[0]:
+        state, _ = weigher.feed(state, sample)
+    for reading in (wide, narrow, outside):
+        assert reading.status[0, -1] == FALLBACK
+        assert not reading.believed[0, -1]
+    assert calm.status[0, -1] == ESTIMATE
+    assert wide.doubts[0, -1] == SIGNAL
+    assert wide.grams[0, -1] == pytest.approx(float(state.mean[TOTAL]), abs=1e-9)
+    variance = float(state.covariance[TOTAL, TOTAL])
+    assert wide.sd[0, -1] >= 4.0 * np.sqrt(variance)
+    for reading in (narrow, outside):
+        assert reading.grams[0, -1] == pytest.approx(signals[0, -1] - TARE, abs=0.1)

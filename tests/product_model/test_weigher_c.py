@@ -75,9 +75,10 @@ def test_readings_in_c_are_those_of_feed(case, library):
     functions, state = library[1], ctypes.create_string_buffer(1 << 16)
     functions.weigher_start(state)
     found = [functions.weigher_feed(state, sample) for sample in record]
-    # rounding in another order: the largest weights are 140 g
-    np.testing.assert_allclose([r.grams for r in found], expected.grams[0], rtol=0, atol=1e-9)
-    np.testing.assert_allclose([r.sd for r in found], expected.sd[0], rtol=0, atol=1e-9)
+    # rounding in another order; a doubted estimate is ill-conditioned where the model describes nothing
+    atol = np.where(expected.doubts[0] > 0, 1e-8, 1e-9)
+    assert (np.abs([r.grams for r in found] - expected.grams[0]) <= atol).all()
+    assert (np.abs([r.sd for r in found] - expected.sd[0]) <= atol).all()
     for name in ("believed", "status", "doubts"):
         np.testing.assert_array_equal([getattr(r, name) for r in found], getattr(expected, name)[0])
     assert set(expected.status[0]) == {EMPTY, 1, FALLBACK}
