@@ -1,10 +1,11 @@
-"""What a simulation is made of: System (never changes while it runs), State (what a step changes),
-Sample (what is read).
+"""Data types of a simulation: System (constant during a run), State (changed by a step), Sample
+(observables).
 
-All are frozen dataclasses registered as pytrees. Arrays keep the piece, part, panel or contact
+All are frozen dataclasses registered as pytrees. Arrays have the piece, part, panel or contact
 index last; leading axes hold components. N pieces of M convex parts, W panels in G wall groups, B
-blocks, P contact slots. SI units. R runs, mostly one, are computed as one system whose runs do not
-see each other: N counts the pieces of all, and what there is of each run has R last (``of_run``).
+blocks, P contact slots. SI units. R runs, mostly one, are computed as one system of independent
+runs: N counts the pieces of all runs, and arrays per run have R last
+(``contacts.batch_reduction``).
 """
 
 import dataclasses
@@ -21,21 +22,21 @@ T = TypeVar("T")
 
 
 def as_array(array: Any) -> Array:
-    """numpy's array (or number) as it is, where a tree has one of JAX's: what is built is of numpy
-    until it is complete.
+    """Return a numpy array or number unchanged, typed as a JAX array: trees are assembled in numpy
+    until they are complete.
     """
     return array
 
 
 def static_field() -> Any:
-    """A field that is part of what is compiled, not an array."""
+    """A field that is part of the compiled program's structure, not an array."""
     return dataclasses.field(metadata={"static": True})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(static_field,))
 def pytree(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass that JAX sees as a tree of its fields, the ``static_field`` ones as
-    part of its structure; its method ``replace(**changes)`` gives the same but for the changes.
+    """Make a frozen dataclass that JAX treats as a tree of its fields, with ``static_field`` fields
+    as part of its structure. Its method ``replace(**changes)`` returns a copy with changes.
     """
     cls = dataclasses.dataclass(frozen=True)(cls)
     cls.replace = dataclasses.replace  # type: ignore[attr-defined]
@@ -43,7 +44,7 @@ def pytree(cls: type[T]) -> type[T]:
 
 
 class PytreeBase:
-    """For type checkers, which do not see that ``pytree`` gives a class a method."""
+    """Base class for type checkers, which do not see the method that ``pytree`` adds."""
 
     if TYPE_CHECKING:
 
@@ -56,20 +57,20 @@ class PolytopeFeatures(PytreeBase):
     ``narrow_phase.feature_search``.
     """
 
-    planes: Array  # [4, F, S]: outward unit normals and offsets (m) of the polytope by which depth
-    # and normal are found
+    planes: Array  # [4, F, S]: outward unit normals and offsets (m) of the polytope from which
+    # depth and normal are found
     corners: Array  # [3, V, S] (m): its corners
     edges: Array  # [13, E, S]: its edges: middle (m), unit direction, half length (m), unit
     # directions into both its faces
-    extreme_vertices: Array  # [3, 14, S] (m): its corners that are furthest along its axes and
-    # between them
-    part_planes: Array  # [4, F', S]: of the part itself, where others continue it; else the same
-    part_corners: Array  # [3, V', S] (m): likewise
+    extreme_vertices: Array  # [3, 14, S] (m): its support points along 14 fixed directions
+    part_planes: Array  # [4, F', S]: of the part itself, if others continue it; else the same as
+    # planes
+    part_corners: Array  # [3, V', S] (m): the same for corners
     interior_faces: Array | None  # [F', S]: 1 for own faces that other parts of the piece cover, 0
     # for all others
-    face_vertices: Array  # [k, F', S] int32: the corners of each of its own faces, some repeated
-    counts: Array  # [4, S] int32: how many planes, corners, edges and own planes a shape has; the
-    # rest repeats its first
+    face_vertices: Array  # [k, F', S] int32: the corners of each own face, some repeated
+    counts: Array  # [4, S] int32: numbers of planes, corners, edges and own planes of a shape;
+    # further entries repeat the first
     all_clip: bool = static_field()  # whether any is a part that others continue
     is_bent: bool = static_field()  # whether any is a panel that others continue at an angle
 
@@ -90,45 +91,47 @@ class Hulls(PytreeBase):
     face_loops: Array | None  # [3 (1 + k), F S] (m): the same as columns, each closed by its first
     # corner; of zonotopes, whose edges come in opposite pairs, [3 (1 + k/2), F S]: centre of the
     # face, then the first half of its edges
-    row: Array  # [S] int32: which shape of the table
+    row: Array  # [S] int32: row of the shape in the table
     vertices: tuple[Array, Array, Array]  # [V, S] x 3 (m)
     directions: tuple[Array, Array, Array]  # [D, S] x 3: unit edge directions
     bounding_radius: Array  # [S] (m)
     half_lengths: Array | None  # [D, S] (m): of a zonotope, the lengths of its generators
-    cross_widths: Array | None  # [D, F/2, S] (m): of a zonotope, C of collide._zonotope_axes
+    cross_widths: Array | None  # [D, F/2, S] (m): of a zonotope, C of
+    # collision_primitives._zonotope_overlaps
     seams: tuple[Array, Array, Array] | None  # [m, S] x 3: of a panel, outward across each edge
     # where another continues its plane; else 0
-    open_edges: Array | None  # [k, F S]: how much of an edge is one of the surface, 0 where another
-    # panel or part continues it in a plane, else 1, as columns; not gathered to pairs
+    open_edges: Array | None  # [k, F S]: openness of edges: 0 where another panel or part continues
+    # the surface in a plane, 1 at edges of the surface, as columns; not gathered to pairs
     interior_faces: Array | None  # [F, S]: 1 for faces that other parts of the piece cover, 0 for
     # all others
-    features: PolytopeFeatures | None  # of polytopes that are not all zonotopes of few edges, for
-    # contacts of polytopes
-    extended: "Hulls | None"  # of which depth and normal are found, of a part that others continue
-    # more of the piece; None: these
+    features: PolytopeFeatures | None  # for contacts of polytopes, unless all are zonotopes with
+    # few edge directions
+    extended: "Hulls | None"  # extended polytopes from which depth and normal are found, for parts
+    # that others continue; None: the polytopes themselves
     is_zonotope: bool = static_field()
 
 
 @pytree
 class SupportFaces(PytreeBase):
-    """Which faces of P pairs of polytopes can look most along the normal of their contact, while it
-    stays near a direction.
+    """Candidate support faces of P pairs of polytopes: those that can be most aligned with the
+    normal of the contact while it stays near a direction.
 
     Sides are those of a and of b, in the frame of the body that they belong to.
     """
 
     rows: tuple[Array, Array]  # [P] int32: the two in the table
-    normals: Array  # [3, Kd, 2, P]: of the faces of each side that look most along it
-    faces: Array  # [Kd, 2, P] int32: which these are
+    normals: Array  # [3, Kd, 2, P]: of the faces of each side that are most aligned with the
+    # direction
+    faces: Array  # [Kd, 2, P] int32: indices of these faces
     direction: Array  # [3, 2, P]: outward normal of the contact
-    validity_radius: Array  # [P]: by which the normal may differ from that; negative: nothing is
-    # known
+    validity_radius: Array  # [P]: deviation of the normal within which these are valid; negative:
+    # invalid
 
 
 @pytree
 class ActiveFeatures(PytreeBase):
-    """The features of P pairs of convex polytopes that can decide their contact until they have
-    moved, see ``narrow_phase.feature_search``.
+    """The features of P pairs of convex polytopes that can determine their contact within a
+    validity radius, see ``narrow_phase.feature_search``.
 
     Pairs of arrays, and sides, [.., 2, P], are those of a and of b, in the frame of the body that
     they belong to.
@@ -136,16 +139,17 @@ class ActiveFeatures(PytreeBase):
 
     rows: tuple[Array, Array]  # [P] int32: the two in the table
     faces: Array  # [4, Kf, 2, P]: normals and offsets (m) of faces
-    corners: Array  # [3, Kv, 2, P] (m): of b that the faces of a may meet, and of a that those of b
-    # may
-    edges: tuple[Array, Array]  # [13, Ke, P]: couples of edges, as in Features
+    corners: Array  # [3, Kv, 2, P] (m): corners of b that the faces of a may touch, and of a that
+    # those of b may
+    edges: tuple[Array, Array]  # [13, Ke, P]: edge pairs, as in PolytopeFeatures
     clip_planes: Array  # [4, Kc, 2, P]: planes of own faces of b that may cut a, and of a that may
     # cut b
-    needs_all_planes: Array  # [P] bool: whether more of them than these may
-    validity_radius: Array  # [P] (m): way within which that is certain; negative: nothing is known
-    offset: Array  # [3, P] (m): b's origin in a's frame at the look ...
+    needs_all_planes: Array  # [P] bool: whether further planes may
+    validity_radius: Array  # [P] (m): relative displacement within which the features are valid;
+    # negative: invalid
+    offset: Array  # [3, P] (m): b's origin in a's frame at the search ...
     rotation: Array  # [9, P]: ... and rows of the rotation from b's frame to a's
-    depth: Array  # [P] (m): their overlap then
+    depth: Array  # [P] (m): overlap at the search
 
 
 @pytree
@@ -158,21 +162,21 @@ class Pieces(PytreeBase):
     curvature: Array  # [N] (1/m): of the sphere of equal volume
     material: Array  # [N] int32: row of Materials
     bounding_radius: Array  # [N] (m): about the centre of mass
-    width: Array  # [N] (m): smallest width, of several parts of the narrowest: the measure of how
-    # deep a contact is
+    width: Array  # [N] (m): smallest width, of the narrowest of several parts; scale of the
+    # relative overlap
 
 
 @pytree
 class Parts(PytreeBase):
-    """The M convex parts of the pieces, piece by piece: what touches. Mostly each piece is its own
-    only part.
+    """The M convex parts of the pieces, piece by piece, which are the bodies in contact. Mostly
+    each piece is its own only part.
     """
 
     owner: Array | None  # [M] int32: the piece that it is a part of; None: M = N, part k is piece k
     surface: Array | None  # [M] int32: the same number for parts that continue each other, -1 of
     # all others; None: all -1
-    centre: Array | None  # [3, M] (m): in the principal frame of the piece, whose axes the part has
-    # too; None: 0
+    centre: Array | None  # [3, M] (m): in the principal frame of the piece, which also gives the
+    # axes of the part; None: 0
     radius: Array  # [M] (m): of a sphere; 0 of a polytope
     bounding_radius: Array  # [M] (m): about the part's own centre
     polytopes: Array  # int32: which parts are polytopes ...
@@ -180,24 +184,25 @@ class Parts(PytreeBase):
 
     @property
     def count(self) -> int:
-        """M."""
+        """Number of parts, M."""
         return self.radius.shape[0]
 
     def owning_piece(self, part: Any) -> Any:
-        """The piece that each part belongs to."""
+        """Index of the piece that each part belongs to."""
         return part if self.owner is None else self.owner[part]
 
 
 @pytree
 class LoadCellModel(PytreeBase):
-    """A spring and a damper along the vertical (z) that carry some wall groups as one rigid body."""
+    """A spring and a damper along the vertical (z) that carry some wall groups as one rigid
+    body.
+    """
 
-    mass: Array  # (kg): of all that it carries of itself: bucket, flaps, and what of the cell moves
-    # with them
+    mass: Array  # (kg): of the bucket, its flaps and the moving part of the cell
     stiffness: Array  # (N/m)
     damping: Array  # (N s/m)
     groups: Array  # [G]: 1 for the groups that it carries, 0 for all others
-    panels: Array  # [W]: likewise
+    panels: Array  # [W]: the same for panels
 
 
 @pytree
@@ -213,24 +218,24 @@ class FlapDrives(PytreeBase):
 
     @property
     def is_driven(self) -> Array:
-        """Which groups have one, [G] bool."""
+        """Groups that have a drive, [G] bool."""
         return self.groups > 0
 
 
 @pytree
 class CollisionBins(PytreeBase):
-    """What is asked of the collisions with walls."""
+    """Bins of the statistics of collisions with walls."""
 
     slowest: Array  # (m/s): a slower touch is not counted
-    fastest: Array  # (m/s): where the last class of speeds begins to count all that is faster too
+    fastest: Array  # (m/s): the last class of speeds includes all faster touches
     classes: int = static_field()  # of speeds, of equal width
     cells: int = static_field()  # of the map along each side of the box around a panel
 
 
 @pytree
 class Plates(PytreeBase):
-    """Panels for contacts with spheres: convex polygons of some thickness, in the panel's frame, z
-    along the surface's normal.
+    """Panels for contacts with spheres: convex polygons with a thickness, in the panel's frame, z
+    along the surface normal.
 
     Padded by repetition of an edge to the same number k of edges. Gathered to pairs, the last axis
     is the pair.
@@ -246,10 +251,9 @@ class Plates(PytreeBase):
 
 @pytree
 class Walls(PytreeBase):
-    """Convex plates in G groups, each group moved as a rigid body or at rest.
+    """Convex plates in G groups, each moved as a rigid body or at rest.
 
-    A name that forces are reported under may stand for several groups (``wb_flaps`` for both
-    flaps).
+    A reported name of forces may stand for several groups (``wb_flaps`` for both flaps).
     """
 
     centre: Array  # [3, W] (m): in the scene's rest pose
@@ -262,7 +266,7 @@ class Walls(PytreeBase):
     plane: Array | None  # [W] int32: the same number for panels that are one surface, -1 for all
     # others
     pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
-    motions: tuple  # of the kinds in walls.motion, each of all groups that move so; none: all rest
+    motions: tuple  # kinds of walls.motion, each for all groups; empty if all rest
     load_cell: LoadCellModel | None  # None: no group is on one
     drive: FlapDrives | None  # None: no group has one
     is_bent: bool = static_field()  # whether panels of one surface meet at an angle, see
@@ -279,8 +283,8 @@ class Walls(PytreeBase):
 
 @pytree
 class Materials(PytreeBase):
-    """The M materials of pieces and walls, and what each pair of them has; [1, 1] where all pairs
-    have the same.
+    """The M materials of pieces and walls, and the properties of each pair of them; [1, 1] if all
+    pairs have the same value.
     """
 
     youngs_modulus: Array  # [M] (Pa): softened by NSF
@@ -293,8 +297,8 @@ class Materials(PytreeBase):
 
 
 class Partition(NamedTuple):
-    """What jax-md's list must know before anything is compiled. Cells are counted round and round,
-    as in a periodic box.
+    """Static sizes of jax-md's neighbour list. Cells are counted cyclically, as in a periodic
+    box.
     """
 
     diameter: float  # (m): of the largest bounding sphere
@@ -306,8 +310,8 @@ class Partition(NamedTuple):
 
 @pytree
 class System(PytreeBase):
-    """All that never changes while a scene runs: arrays, and the static choices that decide what is
-    compiled.
+    """All data that are constant during a run: arrays, and the static choices that determine the
+    compiled program.
     """
 
     pieces: Pieces
@@ -316,21 +320,20 @@ class System(PytreeBase):
     shape: Array  # [M + W] int32: row of each body in the table of hulls (0 of a sphere)
     walls: Walls
     materials: Materials
-    law: Any  # a contact law, see contact.law
+    law: Any  # a contact law, see contact_laws
     reach: Array  # (m): the longest gap across which the law acts; 0: none
     gravity: Array  # [3] (m/s2)
     dt: Array  # (s)
-    resolved: Array  # 1, or 0 where dt is more than RESOLVED of the stability limit
+    resolved: Array  # 1, or 0 if dt is more than RESOLVED_SHARE of the stability limit
     substeps: Array  # int32: steps per sample (per part of a sample, if it has parts), at most
     # block_steps
-    skin: Array  # (m): pairs nearer than this, beyond the way that present speeds take them, are
-    # candidates
+    skin: Array  # (m): pairs nearer than this plus their expected displacement are candidates
     block_low: Array  # [3, B] (m): corners of the blocks in which settled mass is counted
     block_high: Array  # [3, B] (m)
     domain_low: Array  # [3] (m): a piece outside has left the scene
     domain_high: Array  # [3] (m)
-    capacity: tuple[tuple[str, int, int], ...] = static_field()  # of each kind of contact that the
-    # scene has its name (see neighbours), candidates, slots
+    capacity: tuple[tuple[str, int, int], ...] = static_field()  # for each kind of contact in the
+    # scene: its name (see neighbour_list), candidates, slots
     touching: int = static_field()  # most contacts that a piece may have at once
     neighbours: str = static_field()  # how pairs of pieces are found, as in scene.RunSettings
     row_capacity: int = static_field()  # most pieces in three neighbouring cells in a row, where
@@ -344,39 +347,39 @@ class System(PytreeBase):
     may_tie: bool = static_field()  # whether separating axes of polytopes may tie exactly: of
     # pieces that a scene places one by one
     ledger: bool = static_field()  # whether work and dissipation are added up
-    statistics: CollisionBins | None  # of collisions with walls; None: nothing of them is computed
-    sample_parts: int = static_field()  # a sample interval of more steps than the next is cut into
-    # so many parts, a rebuild before each
-    block_steps: int = static_field()  # most steps between rebuilds of the pairs; one comes before
-    # the sample that exceeds it
-    slot_block: int = static_field()  # contacts are computed so many at a time, at most; 0: all
-    # slots at once
+    statistics: CollisionBins | None  # of collisions with walls; None without statistics
+    sample_parts: int = static_field()  # parts of a sample interval with more than block_steps
+    # steps, with a rebuild before each
+    block_steps: int = static_field()  # most steps between rebuilds; a rebuild precedes the sample
+    # that would exceed it
+    slot_block: int = static_field()  # largest number of contacts that are computed at a time; 0:
+    # all slots at once
     present: Array | None  # [N] bool: False for the last pieces of a run that has fewer than others
     # of its ensemble; None: all are
     exchanges: bool = static_field()  # whether pieces come in and leave: State.exchange
-    runs: int = static_field()  # R, how many runs this is, side by side; they do not see each other
+    runs: int = static_field()  # R, number of independent runs in this system
     blocks: tuple[str, ...] = static_field()  # names of the B blocks
-    quantities: tuple = static_field()  # dynamics.quantity.Quantity of all that is sampled
+    quantities: tuple = static_field()  # dynamics.quantity.Quantity of each sampled quantity
 
 
 @pytree
 class PatchMarker(PytreeBase):
-    """A mark, without numbers: bodies that touch over a patch, not at a point, and rub about its
-    normal too.
+    """A marker without numbers: the bodies touch over a patch, not at a point, and have friction
+    about the normal.
     """
 
 
 @pytree
 class ContactHistory(PytreeBase):
-    """What contacts remember of the last step."""
+    """History of contacts at the last step."""
 
-    overlap: Array  # [P] (m): s_n, more by the law's reach; 0: no contact
+    overlap: Array  # [P] (m): s_n plus the law's interaction range; 0: no contact
     point: Array  # [3, P] (m): contact point relative to the centre of b, world axes
     law: Any  # [.., P]: the history that the contact law keeps
-    arm: Array | None = None  # [P] (m): of friction about the normal; None: of contacts without a
+    arm: Array | None = None  # [P] (m): of friction about the normal; None for contacts without a
     # patch
-    tied: Array | None = None  # [P]: 1 where several separating axes tied as the contact began,
-    # else 0; None: none can
+    tied: Array | None = None  # [P]: 1 if several separating axes tied when the contact began, else
+    # 0; None if none can
 
 
 @pytree
@@ -393,7 +396,7 @@ class ContactTable(PytreeBase):
 
 @pytree
 class PairConstants(PytreeBase):
-    """What stays the same in each slot between two rebuilds."""
+    """Constants of each slot between two rebuilds."""
 
     live: Array  # [P] bool: whether the slot holds a pair
     a: Array  # [P] int32: as in the table, 0 where empty
@@ -402,45 +405,45 @@ class PairConstants(PytreeBase):
     radius_b: Array  # [P] or [1] (m)
     width: Array  # [P] or [1] (m): of the narrower piece
     pair: Any  # [P] or [1]: the constants of the contact law
-    hull_a: Hulls | None = None  # [.., P] or [.., 1]; of polytopes with Features none
+    hull_a: Hulls | None = None  # [.., P] or [.., 1]; None for polytopes with PolytopeFeatures
     hull_b: Hulls | None = None
     plate_a: Plates | None = None  # [.., P]: of spheres on walls
-    surface_a: Array | None = None  # [P] int32: of a, where others continue it: Walls.plane, or
-    # beyond those Parts.surface; else -1
+    surface_a: Array | None = None  # [P] int32: of a, if others continue it: Walls.plane, or
+    # numbered after these Parts.surface; else -1
     surface_b: Array | None = None  # [P] int32: Parts.surface of b
     patch: PatchMarker | None = None  # None: they touch at a point, or without friction
 
 
 @pytree
 class SharedContacts(PytreeBase):
-    """The contacts of the same surface with the same surface as each slot has, itself among them;
-    none where no other body continues any of the two. See ``contacts.contact_reduction``.
+    """For each slot the contacts between the same two surfaces, including itself; none if no other
+    body continues either surface. See ``contacts.contact_reduction``.
     """
 
-    order: Array  # [P] int32: slots, siblings next to each other and in order
-    first: Array  # [P] int32: where in it those of each slot begin
-    number: Array  # [P] int32: how many there are
-    most: Array | int  # [] int32: of any slot; an int, touching, to go through all, which can be
-    # differentiated
+    order: Array  # [P] int32: slots, with merged contacts adjacent and in order
+    first: Array  # [P] int32: index in order where the contacts merged with each slot begin
+    number: Array  # [P] int32: number of these
+    most: Array | int  # [] int32: largest number of any slot; an int, touching, for a
+    # differentiable loop over all
 
 
 @pytree
 class Ledger(PytreeBase):
-    """What each run adds up; ``impulse``, ``peak`` and ``overlap`` start anew with each sample
-    interval.
+    """Accumulated quantities of each run; ``impulse``, ``peak`` and ``overlap`` restart with each
+    sample interval.
     """
 
     impulse: Array  # [3, G, R] (N s): of the pieces on each wall group
-    peak: Array  # [reports, R] (N): largest force of the pieces along gravity on what Walls.reports
-    # names, of all steps
+    peak: Array  # [reports, R] (N): largest force of the pieces along gravity on each entry of
+    # Walls.reports, of all steps
     overlap: Array  # [R] (-): largest overlap relative to the width of the piece
-    taken: Array  # [R] (J): work that contacts took: what they store and what is lost
+    taken: Array  # [R] (J): work that contacts took: stored and dissipated energy
     wall_work: Array  # [R] (J): work of the walls on the pieces
 
 
 @pytree
 class OverflowReport(PytreeBase):
-    """What must not happen silently, as data: the host looks at it after each chunk."""
+    """Overflows and other failures as data, which the host checks after each chunk."""
 
     needed: dict[str, Array]  # kind of contact -> int32 [2]: most candidates and slots that any
     # rebuild wanted
@@ -449,8 +452,8 @@ class OverflowReport(PytreeBase):
     partition: Array  # int32 [2]: most pairs, and most pieces in a cell, that any list of jax-md
     # wanted
     reach: Array  # (m): the largest reach that any list of jax-md wanted
-    travel: Array  # (m): most that two bodies can have approached each other between rebuilds,
-    # beyond Scratch.lead
+    travel: Array  # (m): largest possible approach of two bodies between rebuilds, beyond
+    # Scratch.expected_displacement
     start_overlap: Array  # (-): largest overlap at the first rebuild, relative to the width of the
     # piece; -1: not yet
     start_pair: Array  # [2] int32: a and b of that pair
@@ -458,18 +461,17 @@ class OverflowReport(PytreeBase):
 
 @pytree
 class PieceMotion(PytreeBase):
-    """How the pieces of all runs move, and the loads on them. Velocities and momenta are at the
+    """Motion of the pieces of all runs, and the loads on them. Velocities and momenta are at the
     time of the positions.
     """
 
     position: Array  # [3, N] (m): centres of mass
-    position_rest: Array  # [3, N] (m): what rounding left over of the position (zero in double
-    # precision)
+    position_rest: Array  # [3, N] (m): rounding residual of the position (zero in double precision)
     orientation: Array  # [4, N]: unit quaternion w x y z, principal frame to world
-    orientation_rest: Array  # [4, N]: what rounding left over of the orientation (zero in double
+    orientation_rest: Array  # [4, N]: rounding residual of the orientation (zero in double
     # precision)
     velocity: Array  # [3, N] (m/s)
-    velocity_rest: Array  # [3, N] (m/s): what rounding left over of the velocity
+    velocity_rest: Array  # [3, N] (m/s): rounding residual of the velocity
     angular_momentum: Array  # [3, N] (kg m2/s), world frame
     force: Array  # [3, N] (N): of contacts
     torque: Array  # [3, N] (N m): of contacts, about the centre of mass
@@ -485,7 +487,7 @@ class WallLoads(PytreeBase):
 
 @pytree
 class LoadCellMotion(PytreeBase):
-    """How what a load cell carries moves, about where it is without pieces."""
+    """Motion of the walls on a load cell, relative to their rest position without pieces."""
 
     deflection: Array  # [R] (m), downwards
     velocity: Array  # [R] (m/s), at the time of the deflection
@@ -493,8 +495,8 @@ class LoadCellMotion(PytreeBase):
 
 @pytree
 class FlapDriveMotion(PytreeBase):
-    """By how much flaps with a drive are turned beyond their motion, about the axis of the hinge; 0
-    of all others.
+    """Rotation of flaps with a drive beyond their prescribed motion, about the axis of the hinge; 0
+    for all others.
     """
 
     lag: Array  # [G, R] (rad)
@@ -503,8 +505,8 @@ class FlapDriveMotion(PytreeBase):
 
 @pytree
 class CollisionTotals(PytreeBase):
-    """What collisions with the walls have added up to since the first step; C = W cells^2 places on
-    the panels.
+    """Totals of the collisions with walls since the first step, on C = W cells^2 places of the
+    panels.
     """
 
     cells: Array  # [3, C, R]: number, normal impulse (N s) and work that contacts took (J) in each
@@ -512,73 +514,73 @@ class CollisionTotals(PytreeBase):
     speeds: Array  # [classes, G, R]: number by impact speed
     moments: Array  # [2, G, R] (m/s): sum of the impact speeds, and the largest
     load: Array  # [9, G, N] (N, N m): of each group on each piece: force, torque about its centre,
-    # about the group's pivot
-    place: Array  # [G, N] int32: where each piece last pushed on each group
+    # torque about the group's pivot
+    place: Array  # [G, N] int32: place where each piece last pushed on each group
 
 
 @pytree
 class PieceExchange(PytreeBase):
-    """Which pieces are in the scene, and what came into it and left it; all others wait outside, at
-    rest.
+    """Pieces in the scene, and totals of those that entered and left it; all others wait outside,
+    at rest.
     """
 
     there: Array  # [N] bool
-    count: Array  # [2, R] int32: pieces that came in, and that were taken out
-    mass: Array  # [2, R] (kg): likewise
-    energy: Array  # [R] (J): kinetic and potential, of what came in less that of what was taken out
+    count: Array  # [2, R] int32: numbers of pieces that entered, and that were removed
+    mass: Array  # [2, R] (kg): masses of these
+    energy: Array  # [R] (J): kinetic and potential energy of entered minus that of removed pieces
     last: Array  # int32: step at which pieces were last exchanged
 
 
 @pytree
 class Scratch(PytreeBase):
-    """What the rebuild at the beginning of each block of steps fills anew, from the rest of the
+    """Data that the rebuild at the beginning of each block of steps derives from the rest of the
     state.
     """
 
     slots: dict[str, PairConstants]  # by kind of contact
-    filled: dict[str, Array]  # kind of contact -> int32: how many slots hold a pair, the first ones
+    filled: dict[str, Array]  # kind of contact -> int32: number of slots that hold a pair; these
+    # come first
     max_contacts: Array  # int32: most contacts of a piece
-    wall_contacts: Array  # [2, touching, N] int32: like ``State.incidence`` of contacts with walls,
-    # and the numbers of their groups
+    wall_contacts: Array  # [2, touching, N] int32: like ``State.incidence`` for contacts with
+    # walls, and the numbers of their groups
     max_wall_contacts: Array  # int32: most contacts of a piece with walls
-    loads: Array  # [7, columns] (N, N m, N): of each contact force and torque on a piece, about its
-    # centre, and the rise of the force on b along gravity, see ``Response.rise``: all on b, then
-    # all on a, kind by kind; one more column holds zeros
+    loads: Array  # [7, columns] (N, N m, N): force and torque of each contact on a piece, about its
+    # centre, and the increment of the force on b along gravity, see
+    # ``Response.reversal_increment``: all on b, then all on a, kind by kind; one more column holds
+    # zeros
     rebuild_step: Array  # int32: the step of the rebuild
-    displacement: Array  # [R] (m): most that two bodies can have approached each other since then
-    # ...
-    displacement_rate: Array  # [R] (m): ... of it in the last step
-    expected_displacement: Array  # [R] (m): most that two bodies approach each other at the speeds
-    # they had then, until the next rebuild
-    shared_contacts: dict[str, SharedContacts]  # by kind of contact, where surfaces go on
-    shares: dict[str, Array]  # likewise, [P]: the part that each slot has of a contact that several
-    # have together
-    active_features: dict[str, ActiveFeatures]  # by kind of contact, of polytopes with Features;
-    # none where each step looks at all features
+    displacement: Array  # [R] (m): largest possible approach of two bodies since then ...
+    displacement_rate: Array  # [R] (m): ... and its part in the last step
+    expected_displacement: Array  # [R] (m): largest approach of two bodies until the next rebuild,
+    # at the speeds of this one
+    shared_contacts: dict[str, SharedContacts]  # by kind of contact, if surfaces are shared
+    shares: dict[str, Array]  # by kind of contact, [P]: share of each slot in its merged contact
+    active_features: dict[str, ActiveFeatures]  # by kind of contact, of polytopes with
+    # PolytopeFeatures; empty if each step searches all features
     support_faces: dict[str, SupportFaces]  # likewise
-    is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet
-    remaining_margin: Array | None  # [P] (m): way that each pair of polytopes may still move before
-    # it is asked whether a look is due
-    refreshed_at: Array  # int32: after which step that was the way to go
-    pending_bodies: Array | None  # [rows, M + W]: bodies.stack of the step that a look is due for,
-    # or of the last one
+    is_first: Array  # bool: whether no initial overlap of polytopes has been recorded yet
+    remaining_margin: Array | None  # [P] (m): relative displacement of each pair of polytopes until
+    # the next check for a refresh
+    refreshed_at: Array  # int32: step at which the features were last refreshed
+    pending_bodies: Array | None  # [rows, M + W]: packed bodies of the step for which a refresh is
+    # due, or of the last one
     pending_step: Array  # int32: that step
 
 
 @pytree
 class State(PytreeBase):
-    """What a step changes."""
+    """All data that a step changes."""
 
     step: Array  # int32: time is step * dt
     motion: PieceMotion
     walls: WallLoads
     cell: LoadCellMotion | None  # None: no wall is on a load cell
     drive: FlapDriveMotion | None  # None: no flap has a drive of limited torque
-    collisions: CollisionTotals | None  # None: nobody asked for them
-    exchange: PieceExchange | None  # None: all pieces are there from beginning to end
+    collisions: CollisionTotals | None  # None without statistics
+    exchange: PieceExchange | None  # None: all pieces are in the scene throughout
     contacts: dict[str, ContactTable]  # by kind of contact
-    incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see
-    # neighbours.find_incidence)
+    incidence: Array  # [touching, N] int32: columns of the contacts of each piece (see
+    # neighbour_list.find_incidence)
     ledger: Ledger
     guard: OverflowReport
     scratch: Scratch
@@ -596,20 +598,20 @@ class State(PytreeBase):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Sample:
-    """What is read of each run at the end of a sample interval: the quantities of a System, each an
-    attribute too.
+    """Observables of each run at the end of a sample interval: the quantities of a System, each
+    also an attribute.
     """
 
     values: dict[str, Array]  # name of the quantity -> [its axes, the last one first, R]
 
     def __getattr__(self, name: str) -> Array:
-        values = self.__dict__.get("values", {})  # not there while it is unpickled
+        values = self.__dict__.get("values", {})  # not set during unpickling
         if name not in values:
             raise AttributeError(f"a sample has no {name!r}; it has: {', '.join(values)}")
         return values[name]
 
     def replace(self, **values: Array) -> "Sample":
-        """With other values of some quantities."""
+        """The sample with other values of some quantities."""
         return Sample(self.values | values)
 
 

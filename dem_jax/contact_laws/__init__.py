@@ -1,12 +1,12 @@
-"""Contact laws: from what two bodies are made of to the force between them.
+"""Contact laws: the force between two bodies from their materials and relative motion.
 
-A law is a value with a type: a frozen pytree (``types.pytree``) of its parameters with the methods
-of ``ContactLaw``. There is no base class and no list of names in the step; whatever has these
-methods is a law. One file for each law: ``walton_braun`` (the paper's, the default),
-``linear_dashpot``, ``hertz_mindlin``, ``densifying`` (foams), ``elastic_plastic`` (restitution that
-falls with the speed); ``cohesion`` makes a cohesive law of any of them, ``rolling`` one with
-rolling friction; ``friction`` is the tangential spring and ``dashpot`` the damping that they share.
-``LAWS`` of ``dem_jax.assembly.contact_law`` has them by the names that a scene uses,
+A law is a frozen pytree (``types.pytree``) of its parameters with the methods of ``ContactLaw``.
+There is no base class, and the step has no list of names; any value with these methods is a law.
+One file for each law: ``walton_braun`` (the paper's, the default), ``linear_dashpot``,
+``hertz_mindlin``, ``densifying`` (foams), ``elastic_plastic`` (restitution that decreases with
+speed). ``cohesion`` adds cohesion to any of them and ``rolling_friction`` rolling friction; they
+share the tangential spring of ``friction`` and the damping of ``dashpot``. ``LAWS`` of
+``dem_jax.assembly.contact_law`` lists them by the names that a scene uses;
 ``dem_jax.scene.sections.contact`` has their keys.
 """
 
@@ -22,23 +22,23 @@ Array = jax.Array
 
 
 class MaterialPair(NamedTuple):
-    """Two kinds of bodies, b a piece and a a piece or a wall, as a law sees them; arrays [P], or
-    [1] where all are alike.
+    """Properties of two bodies, b a piece and a a piece or a wall, as input of a law; arrays [P],
+    or [1] if all pairs are alike.
 
-    Moduli are softened by NSF. Pairs of arrays are of a and of b.
+    Moduli are softened by NSF. Tuples hold the values of a and of b.
     """
 
     youngs_modulus: tuple[Array, Array]  # (Pa)
     poisson_ratio: tuple[Array, Array]
-    size: tuple[Array, Array]  # (m): L of eqs 7 and 8; of a wall that of the piece
-    curvature: tuple[Array, Array]  # (1/m): one over the radius; of a wall 0, of a polytope that of
-    # the sphere of its size
+    size: tuple[Array, Array]  # (m): L of eqs 7 and 8; for a wall that of the piece
+    curvature: tuple[Array, Array]  # (1/m): one over the radius; 0 for a wall, for a polytope that
+    # of the sphere of its size
     mass: Array  # (kg): effective mass
     restitution: Array
     friction: Array | None  # mu; None where no pair of the scene has any
     pull_off: Array | None  # (N): largest adhesive force; None where no pair of the scene has any
     rolling: Array | None = None  # mu_r; None where no pair of the scene has any
-    patch: PatchMarker | None = None  # of polytopes with friction; None: bodies that touch at a
+    patch: PatchMarker | None = None  # for polytopes with friction; None for bodies that touch at a
     # point
 
     @property
@@ -50,85 +50,90 @@ class MaterialPair(NamedTuple):
 
 
 class Torsion(NamedTuple):
-    """The turning of one body on the other about the normal, as friction of a contact patch meets
-    it, arrays [P].
+    """Rotation of one body relative to the other about the normal, as friction of a contact patch
+    resists it, arrays [P].
     """
 
     arm: Array  # (m): mean distance at which friction acts from the contact point, see
     # ``narrow_phase.patch_moments``
-    slip: Array  # (m): how far b has slid past a at that distance in this step, counter-clockwise
+    slip: Array  # (m): sliding distance of b past a at that arm in this step, counter-clockwise
     # about the normal
 
 
 class ContactKinematics(NamedTuple):
-    """What a contact does in one step, arrays [P]."""
+    """Relative motion of two bodies in contact in one step, arrays [P]."""
 
     overlap: Array  # (m): s_n now; separated where not positive
-    approach: Array  # (m): by how much the bodies came nearer at the contact point in this step,
-    # Delta s_n of eq. 4
-    slip: Vector  # [P] x 3 (m): tangential way of b relative to a at the contact point in this step
+    approach: Array  # (m): approach of the bodies at the contact point in this step, Delta s_n of
+    # eq. 4
+    slip: Vector  # [P] x 3 (m): tangential displacement of b relative to a at the contact point in
+    # this step
     normal: Vector  # [P] x 3: unit, from a to b
     dt: Array  # (s)
-    relative_rotation: Vector | None = None  # [P] x 3 (rad): turn of b relative to a in this step,
-    # world axes; None unless both are polytopes
-    rolling_rotation: Vector | None = None  # the same, of bodies of any kind; None where no pair of
+    relative_rotation: Vector | None = None  # [P] x 3 (rad): rotation of b relative to a in this
+    # step, world axes; None unless both are polytopes
+    rolling_rotation: Vector | None = None  # the same for bodies of any kind; None where no pair of
     # the scene has rolling friction
     torsion: Torsion | None = None  # None: the bodies touch at a point, or without friction
-    resolved: Array | float = 1.0  # 0 where the time step is too near the stability limit to tell
-    # what happens within it
+    resolved: Array | float = 1.0  # 0 where the time step is too near the stability limit for
+    # corrections within it
 
 
 class Response(NamedTuple):
-    """What a law answers."""
+    """Result of a law in one step."""
 
     normal_force: Array  # [P] (N): along the normal on b; positive pushes apart
     tangential_force: Vector | None  # [P] x 3 (N): tangential, on b; None of a law without friction
-    history: Any  # as it was given, after this step
-    torque: Vector | None = None  # [P] x 3 (N m): torque on b beside that of the force at the
-    # contact point, -twist on a
-    reversal_increment: Array | None = None  # [P] (N): by how much push was larger where it turned
-    # than before this step, else 0; None: unknown
+    history: Any  # the history after this step
+    torque: Vector | None = None  # [P] x 3 (N m): torque on b in addition to that of the force at
+    # the contact point; its negative acts on a
+    reversal_increment: Array | None = None  # [P] (N): excess of the normal force at a reversal
+    # within this step over that before the step, else 0; None: unknown
 
 
 class ContactLaw(Protocol):
-    """The methods of a law. ``pair`` is what its own method ``pair`` made, ``history`` what
-    ``start`` began with: nobody else looks inside. All but those that speak of steps and stiffness,
-    which take numpy in double precision, are traced.
+    """The methods of a law.
+
+    ``pair`` is the result of its ``pair_parameters``, ``history`` begins as the result of its
+    ``init_history``; both are opaque to the caller. All methods are traced, except those about
+    steps and stiffness, which take numpy arrays in double precision.
     """
 
     def pair_parameters(self, couple: MaterialPair) -> Any:
-        """Constants of pairs of bodies: a pytree of arrays whose last axis is that of the couple's."""
+        """Constants of pairs of bodies: a pytree of arrays with the last axis of the material
+        pair.
+        """
 
     def init_history(self, pair: Any, like: Array) -> Any:
-        """The history of contacts at first touch: a pytree of arrays [.., P] of zeros; like: [P],
-        of the right dtype.
+        """History of contacts at first touch: a pytree of arrays [.., P] of zeros; like: [P], of
+        the right dtype.
         """
 
     def force(self, pair: Any, history: Any, contact: ContactKinematics) -> Response:
-        """Force in this step, and the history after it. Called once a step."""
+        """Force in this step, and the history after it. Called once per step."""
 
     def energy(self, pair: Any, history: Any, overlap: Array) -> Array:
-        """What each contact would give back, [P] (J)."""
+        """Recoverable energy of each contact, [P] (J)."""
 
     def interaction_range(self, pair: Any) -> Array | None:
-        """Gap (m), [P] or [1], across which the law still acts; None: it ends where bodies part."""
+        """Gap (m), [P] or [1], across which the law still acts; None if it ends at separation."""
 
     def critical_steps(self, pair: Any, mass: Real) -> dict[str, Real]:
-        """The largest time steps (s) that resolve contacts of effective masses (kg), by what limits
-        them, in words.
+        """Largest time steps (s) that resolve contacts of effective masses (kg), by a description
+        of the limit.
         """
 
     def stable_step(self, pair: Any, mass: Real) -> Real:
-        """Time steps (s), like mass, above which a contact of that effective mass (kg) gains
-        energy: 2 / omega of its stiffest normal branch.
+        """Time steps (s), of the shape of mass, above which a contact of that effective mass (kg)
+        gains energy: 2 / omega of its stiffest normal branch.
         """
 
     def loading_step(self, pair: Any, mass: Real) -> Real:
-        """2 / omega (s), like mass, of the branch on which impacts load: the error of their energy
-        goes with its square. A law may leave it out: it is then that of ``stable_step``.
+        """2 / omega (s), of the shape of mass, of the loading branch: the energy error of impacts
+        is proportional to its square. Optional; the default is ``stable_step``.
         """
         return self.stable_step(pair, mass)
 
     def tangential_stiffness(self, pair: Any) -> Real | None:
-        """K_t (N/m) where it is largest; None: no friction. A law may leave it out."""
+        """Largest K_t (N/m); None without friction. Optional."""
         return None

@@ -1,24 +1,24 @@
-"""Cohesion, which any contact law takes on: bodies that have touched hold on to each other with up
-to a constant force.
+"""Cohesion, which can be added to any contact law: bodies that have touched attract each other with
+up to a constant force.
 
-Beside the law acts a tension A: a spring on the way w by which the contact point recedes, that
-slips at the pull-off force
+In addition to the law a tension A acts: a spring on the displacement w by which the contact point
+recedes, which slips at the pull-off force
 
     dA = k_a dw,    0 <= A <= P(s),    F_n = F_law(s) - A
 
-and, once the gap -s is larger than d = P_0 / k_a, in which the tension has always come up to the
-pull-off force P_0, a limit that falls linearly until the bodies let go at the gap d + range:
+The gap -s = d = P_0 / k_a is the one at which the tension has reached the pull-off force P_0 in any
+case. Beyond it the limit decreases linearly until the bodies separate at the gap d + range:
 
     P(s) = P_0 for s >= -d,    P_0 (1 - (-s - d) / range) beyond, 0 from -s = d + range on.
 
-So loading is that of the law alone, and after contact the unloading goes on below zero, down to
--P_0 whatever the load was before: the linear adhesive branches of Luding (Granular Matter 10 (2008)
-235-246) and of the EEPA law (Morrissey, thesis, Edinburgh, 2013) with the constant pull-off force
-of Derjaguin, Muller and Toporov (J. Colloid Interface Sci. 53 (1975)). To part two bodies that just
-touch takes the work P_0 (d + range) / 2; pressed together elastically by s before, P_0 s more. A
-spring that only slips gives back no more than it took, however bodies turn: A^2 / 2 k_a. Friction
-is the law's own, at most mu F_law = mu (F_n + A), of the repulsive part alone, which is never
-negative.
+Loading therefore follows the law alone, and unloading continues below zero, down to -P_0 for any
+previous load: these are the linear adhesive branches of Luding (Granular Matter 10 (2008) 235-246)
+and of the EEPA law (Morrissey, thesis, Edinburgh, 2013) with the constant pull-off force of
+Derjaguin, Muller and Toporov (J. Colloid Interface Sci. 53 (1975)). Separating two bodies that just
+touch takes the work P_0 (d + range) / 2; after an elastic overlap s it takes P_0 s more. The
+slipping spring never returns more energy than it took, for any rotation of the bodies: it stores
+A^2 / 2 k_a. Friction is that of the law, at most mu F_law = mu (F_n + A), from the repulsive part
+alone, which is never negative.
 """
 
 from typing import Any, NamedTuple
@@ -41,7 +41,7 @@ TENSION_STEPS = 15  # per quarter period of the spring of the tension
 class CohesivePair(NamedTuple):
     """Constants of pairs, [P] or [1]."""
 
-    law: Any  # those of the law that is made cohesive
+    law: Any  # constants of the underlying law
     pull_off: Array  # (N): P_0
     stiffness: Array  # (N/m): k_a
 
@@ -49,21 +49,21 @@ class CohesivePair(NamedTuple):
 class CohesiveHistory(NamedTuple):
     """History of contacts, at the last step."""
 
-    law: Any  # that of the law
+    law: Any  # history of the law
     tension: Array  # [P] (N): A
-    bond: Array  # [P]: 1 of bodies that have touched and not let go since, else 0
+    bond: Array  # [P]: 1 for bodies that have touched and not separated since, else 0
 
 
 @pytree
 class Cohesive:
-    """A law with cohesion; pairs whose pull-off force is 0 have none."""
+    """A law with cohesion; pairs with a zero pull-off force have none."""
 
     law: ContactLaw
     stiffness: Array  # k_a over K = E L of both bodies in series (eqs 5, 7 and 8)
     range: Array  # (m), beyond d
 
     def pair_parameters(self, couple: MaterialPair) -> CohesivePair:
-        """Those of the law, P_0 and k_a. Raises SceneError where no pair of the scene has a
+        """Constants of the law, P_0 and k_a. Raises SceneError if no pair of the scene has a
         pull-off force.
         """
         if couple.pull_off is None:
@@ -82,7 +82,7 @@ class Cohesive:
     def force(
         self, pair: CohesivePair, history: CohesiveHistory, contact: ContactKinematics
     ) -> Response:
-        """The law's answer less the tension."""
+        """The response of the law, with the normal force reduced by the tension."""
         c = contact
         answer = self.law.force(pair.law, history.law, self._limit_slip_to_touch(pair, contact))
         holds = (c.overlap > 0) | ((history.bond > 0) & (c.overlap > -self.interaction_range(pair)))
@@ -105,23 +105,23 @@ class Cohesive:
         return jnp.where(pair.pull_off > 0, pair.pull_off / pair.stiffness + self.range, 0)
 
     def critical_steps(self, pair: CohesivePair, mass: Real) -> dict[str, Real]:
-        """Those of the law, and by the tension's spring (s)."""
+        """Critical steps (s) of the law, and that of the tension spring."""
         step = quarter_period(mass, np.asarray(pair.stiffness)) / TENSION_STEPS
         return self.law.critical_steps(pair.law, mass) | {
             f"{TENSION_STEPS} steps per quarter period of cohesion": step
         }
 
     def stable_step(self, pair: CohesivePair, mass: Real) -> Real:
-        """Linear stability limit (s) of the two springs side by side."""
+        """Linear stability limit (s) of the two parallel springs."""
         own = 2 * np.sqrt(mass / np.asarray(pair.stiffness))
         return 1 / np.hypot(1 / np.asarray(self.law.stable_step(pair.law, mass)), 1 / own)
 
     def loading_step(self, pair: CohesivePair, mass: Real) -> Real:
-        """That of the law (s)."""
+        """Loading step (s) of the law."""
         return self.law.loading_step(pair.law, mass)
 
     def tangential_stiffness(self, pair: CohesivePair) -> Real | None:
-        """That of the law (N/m)."""
+        """K_t (N/m) of the law."""
         return self.law.tangential_stiffness(pair.law)
 
     def _pull_off_limit(self, pair: CohesivePair, overlap: Array) -> Array:
@@ -134,9 +134,9 @@ class Cohesive:
     def _limit_slip_to_touch(
         self, pair: CohesivePair, contact: ContactKinematics
     ) -> ContactKinematics:
-        """The contact as a law without reach would be told of it: of the step in which bodies come
-        to touch, the slip of the last part only, overlap over approach, where it had that of all
-        within reach.
+        """The contact as seen by a law without interaction range: in the step of first touch the
+        slip is reduced from the fraction of the step within range to the fraction in contact,
+        overlap over approach.
         """
         c = contact
         begins = (c.overlap > 0) & (c.approach > c.overlap)

@@ -1,5 +1,5 @@
-"""A dashpot beside an elastic spring that is never adhesive: shared by the linear law and that of
-Hertz, and that beside the unloading line of Walton and Braun.
+"""A dashpot in parallel to an elastic spring, never adhesive: shared by the linear law, that of
+Hertz and the unloading branch of Walton and Braun.
 
 Linear: m s'' + c s' + K s = 0 with damping ratio zeta = c / (2 sqrt(m K)). The contact ends where
 the force vanishes, not where the overlap does (Schwager and Poeschel, Granular Matter 9 (2007)
@@ -11,8 +11,8 @@ the force vanishes, not where the overlap does (Schwager and Poeschel, Granular 
 Hertz with damping eta s^(1/4) s' (Tsuji, Tanaka and Ishida, Powder Technology 71 (1992) 239-250):
 in y = s^(5/4) the speed v obeys v dv/dy = -(4 k / 5 m) y - (4 eta / 5 m) v, that of the linear
 oscillator (Antypov and Elliott, EPL 94 (2011) 50004), and the force k s^(3/2) + eta s^(1/4) v
-vanishes where k y + eta v does. So the same restitution holds at any speed, with omega^2 = 4 k / 5
-m and eta = sqrt(5 m k) zeta.
+vanishes where k y + eta v does. The same restitution therefore holds at any speed, with omega^2 = 4
+k / 5 m and eta = sqrt(5 m k) zeta.
 """
 
 from collections.abc import Callable
@@ -26,13 +26,13 @@ from dem_jax.contact_laws.springs import Real
 
 Array = jax.Array
 
-LOADING_STEPS = 15  # per quarter period, as of the loading branch of Walton and Braun
-STOP_STEPS = 6  # in the time m / c, in which the dashpot alone stops the mass: corners of a
+LOADING_STEPS = 15  # per quarter period, as for the loading branch of Walton and Braun
+STOP_STEPS = 6  # in the time m / c, in which the dashpot alone stops the mass; corners of a
 # polytope stop six times sooner
 
 
 class SpringHistory(NamedTuple):
-    """Of contacts of an elastic spring, at the last step."""
+    """History of contacts with an elastic spring, at the last step."""
 
     overlap: Array  # [P] (m): ``elastic_overlap``
     spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see
@@ -40,8 +40,8 @@ class SpringHistory(NamedTuple):
 
 
 def damping_ratio(restitution: Array) -> Array:
-    """zeta of a restitution, 0 < e <= 1, by Newton's method: 2 zeta r is concave, so that it
-    converges from below.
+    """Damping ratio zeta for a restitution, 0 < e <= 1, by Newton's method; 2 zeta r is concave, so
+    that it converges from below.
     """
     wanted = -jnp.log(restitution)
 
@@ -53,8 +53,8 @@ def damping_ratio(restitution: Array) -> Array:
 
 
 def _negative_log_restitution(ratio: Array) -> Array:
-    """2 zeta r: minus the logarithm of the restitution. r (1 + zeta) = 2 atan(sqrt w) / sqrt w with
-    w = (1 - zeta) / (1 + zeta).
+    """2 zeta r, minus the logarithm of the restitution. Uses r (1 + zeta) = 2 atan(sqrt w) / sqrt w
+    with w = (1 - zeta) / (1 + zeta).
     """
     w = (1 - ratio) / (1 + ratio)
     small = jnp.abs(w) < 1e-2
@@ -66,11 +66,12 @@ def _negative_log_restitution(ratio: Array) -> Array:
 
 
 def elastic_overlap(before: Array, approach: Array, overlap: Array) -> Array:
-    """The overlap (m) that was made by the way of the contact point, at most the geometric one.
+    """The overlap (m) integrated from the displacement of the contact point, at most the geometric
+    one.
 
-    Where bodies do not turn both are the same. Where they do, the geometric one is that of the
-    deepest corner while the force acts at the contact point: a spring on the way that this went
-    gives back no more than it took.
+    Without rotation both are the same. With rotation, the geometric overlap is that of the deepest
+    corner while the force acts at the contact point: a spring on the displacement of that point
+    never returns more energy than it took.
     """
     return jnp.clip(before + approach, 0, jnp.maximum(overlap, 0))
 
@@ -78,12 +79,12 @@ def elastic_overlap(before: Array, approach: Array, overlap: Array) -> Array:
 def overlap_power(
     before: Array, now: Array, approach: Array, exponent: float, root: Callable[[Array], Array]
 ) -> Array:
-    """now^exponent (``root`` of it) for the dashpot's coefficient, and 0 where separated.
+    """now^exponent (``root`` of it) for the coefficient of the dashpot, and 0 where separated.
 
-    In the step of first touch, of which only the part now / approach counts, what makes the sum
-    over steps the integral to second order: of t^a on a grid that begins within a step (Navot, J.
-    Math. Phys. 40 (1961) 271-276). The impulse is right so, while the reading in that step is 1/2
-    to 3/2 of a force that begins at once (a = 0).
+    In the step of first touch only the fraction now / approach counts. The value there makes the
+    sum over steps a second-order approximation of the integral of t^a on a grid that begins within
+    a step (Navot, J. Math. Phys. 40 (1961) 271-276). The impulse is then correct, while the reading
+    in that step is 1/2 to 3/2 of the force if the force begins with a jump (a = 0).
     """
     first = (before <= 0) & (now > 0)
     way = jnp.where(first, approach, 1)
@@ -98,16 +99,16 @@ def damped_force(
     """Elastic force with dashpot (N), never adhesive. coefficient: c (N s/m); approach: (m) in this
     step.
 
-    Speeds are known in the middle of the step; the speed at its end follows from the force over
-    half a step.
+    Velocities are known at the middle of the step; the velocity at its end follows from the force
+    over half a step.
     """
     total = (elastic + coefficient * approach / dt) / (1 + 0.5 * coefficient * dt / mass)
     return jnp.where(elastic > 0, jnp.maximum(total, 0), 0)
 
 
 def critical_steps(mass: Real, quarter: Real, coefficient: Real) -> dict[str, Real]:
-    """Critical steps (s) by a quarter period or loading time (s) and by the dashpot (N s/m) on a
-    mass (kg).
+    """Critical steps (s) from a quarter period or loading time (s) and from the dashpot (N s/m) on
+    a mass (kg).
     """
     damping = np.maximum(np.asarray(coefficient, float), 1e-9 * mass / np.max(quarter))
     return {
@@ -117,9 +118,9 @@ def critical_steps(mass: Real, quarter: Real, coefficient: Real) -> dict[str, Re
 
 
 def stable_step(mass: Real, stiffness: Real, coefficient: Real, pair_mass: Real) -> Real:
-    """Stability limit (s) of a spring (N/m) and a dashpot (N s/m) as ``damped_force`` has it, on an
-    effective mass (kg) that may be less than that of the pair: 2 / omega without damping, or where
-    both are the same.
+    """Stability limit (s) of a spring (N/m) and a dashpot (N s/m), as in ``damped_force``, on an
+    effective mass (kg) that may be less than that of the pair. Without damping, or for equal
+    masses, it is 2 / omega.
     """
     square = stiffness / mass
     rate = 2 * np.asarray(coefficient) * (1 / mass - 1 / pair_mass)
@@ -136,11 +137,11 @@ def unloading_damping(
     ratio: Array,
     dt: Array,
 ) -> Array:
-    """Viscous part (N) added on the unloading branch only, where eqs 1-4 have none and a resting
-    piece rings for ever.
+    """Viscous force (N) on the unloading branch only, where eqs 1-4 have no damping and a resting
+    piece oscillates forever.
 
-    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the
-    sum adhesive; force: F_n now. Not part of the paper's model; off by default.
+    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), which never makes
+    the sum adhesive; force: F_n now. Not part of the paper's model; off by default.
     """
     loading = load_stiffness * jnp.maximum(overlap, 0)
     dashpot = 2 * ratio * jnp.sqrt(mass * unload_stiffness) * approach / dt

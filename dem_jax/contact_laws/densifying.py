@@ -1,24 +1,24 @@
-"""A spring that stiffens as a foam does when its cells close, with a dashpot of exact restitution.
+"""A spring that stiffens like a foam when its cells close, with a dashpot of exact restitution.
 
     F = K s / (1 - x),    x = s / D,    U = K D^2 (-x - ln(1 - x)),    D = densification min(L_a,
     L_b)
 
-with K of eqs 5, 7 and 8: at small overlaps the linear spring of modulus E, and an overlap that
-stays below D, where the foam is solid. Beyond ``LINEAR_LIMIT`` of D the force goes on along its
-tangent, so that its stiffness is bounded.
+with K of eqs 5, 7 and 8: at small overlaps the linear spring of modulus E, with an overlap that
+stays below D, where the foam is solid. Beyond ``LINEAR_LIMIT`` times D the force continues along
+its tangent, so that its stiffness is bounded.
 
 Dashpot: c = 2 zeta F sqrt(m / 2U) (N s/m). In q = sqrt(2U / m) the speed v obeys v dv/dq = -q - 2
 zeta v, the linear oscillator of frequency 1, and the force vanishes where q + 2 zeta v does: the
 restitution is that of the ratio zeta (``dashpot``), at any speed, for any elastic force. The laws
-``linear_dashpot`` and ``hertz_mindlin`` are its cases of F ~ s and s^(3/2).
+``linear_dashpot`` and ``hertz_mindlin`` are the special cases F ~ s and s^(3/2).
 
 An impact at speed v has its largest overlap where U = m q^2 / 2 with q = v exp(-zeta phi / sqrt(1 -
 zeta^2)), phi = arccos(zeta):
 
     x = 1 + W_0(-exp(-1 - e)),    e = m q^2 / (2 K D^2)
 
-with Lambert's function W_0. The stiffness grows with the speed: the time step resolves impacts up
-to ``impact_speed``.
+with Lambert's function W_0. The stiffness increases with the speed: the time step resolves impacts
+up to ``impact_speed``.
 """
 
 from typing import NamedTuple
@@ -36,7 +36,7 @@ from dem_jax.types import PatchMarker, pytree
 
 Array = jax.Array
 
-LINEAR_LIMIT = 0.9  # of D: from there the force goes on along its tangent
+LINEAR_LIMIT = 0.9  # of D: from there the force continues along its tangent
 NODES = 24  # of the quadrature of the loading time, whose integrand is smooth: 1e-6 up to LINEAR
 
 
@@ -53,14 +53,14 @@ class DensifyingPair(NamedTuple):
 
 @pytree
 class Densifying:
-    """Ends where bodies part."""
+    """A foam law that ends at separation."""
 
     densification: Array  # D / L
     tangential: Array  # K_t / K
-    impact_speed: Array  # (m/s): the fastest that the time step resolves
+    impact_speed: Array  # (m/s): the fastest impact that the time step resolves
 
     def pair_parameters(self, couple: MaterialPair) -> DensifyingPair:
-        """K of both in series, D of the smaller one."""
+        """K of both bodies in series, and D of the smaller one."""
         stiffness = couple.stiffness
         depth = self.densification * jnp.minimum(*couple.size)
         ratio = dashpot.damping_ratio(couple.restitution)
@@ -75,7 +75,7 @@ class Densifying:
         )
 
     def init_history(self, pair: DensifyingPair, like: Array) -> SpringHistory:
-        """No overlap."""
+        """History with zero overlap."""
         return SpringHistory(
             jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like)
         )
@@ -83,7 +83,7 @@ class Densifying:
     def force(
         self, pair: DensifyingPair, history: SpringHistory, contact: ContactKinematics
     ) -> Response:
-        """Spring, dashpot and friction."""
+        """Force of spring, dashpot and friction."""
         c = contact
         s = vector.fusion_barrier(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
         force, _, rate = relative_spring(s / pair.depth)
@@ -104,7 +104,7 @@ class Densifying:
         )
 
     def energy(self, pair: DensifyingPair, history: SpringHistory, overlap: Array) -> Array:
-        """Of both springs (J)."""
+        """Energy (J) of the normal and the tangential spring."""
         energy = pair.stiffness * pair.depth**2 * relative_spring(history.overlap / pair.depth)[1]
         return friction.add_spring_energy(energy, history.spring, self.tangential * pair.stiffness)
 
@@ -113,21 +113,27 @@ class Densifying:
         return None
 
     def critical_steps(self, pair: DensifyingPair, mass: Real) -> dict[str, Real]:
-        """By the loading time and the dashpot of an elastic impact at the speed given (s)."""
+        """Critical steps (s) from the loading time and the dashpot of an elastic impact at
+        ``impact_speed``.
+        """
         deepest = self._largest_relative_overlap(pair, mass)
         return dashpot.critical_steps(
             mass, loading_time(pair, mass, self.impact_speed), _damping_coefficient(pair, deepest)
         )
 
     def stable_step(self, pair: DensifyingPair, mass: Real) -> Real:
-        """Linear stability limit (s) at the largest overlap of a central impact at the speed given."""
+        """Linear stability limit (s) at the largest overlap of a central impact at
+        ``impact_speed``.
+        """
         deepest = self._largest_relative_overlap(pair, np.asarray(pair.mass))
         return dashpot.stable_step(
             mass, _tangent_stiffness(pair, deepest), _damping_coefficient(pair, deepest), pair.mass
         )
 
     def loading_step(self, pair: DensifyingPair, mass: Real) -> Real:
-        """2 / omega (s) there, of the elastic force."""
+        """2 / omega (s) of the elastic force at the largest overlap of a central impact at
+        ``impact_speed``.
+        """
         return 2 * np.sqrt(
             mass
             / _tangent_stiffness(pair, self._largest_relative_overlap(pair, np.asarray(pair.mass)))
@@ -138,7 +144,7 @@ class Densifying:
         return frictional_stiffness(pair.friction, np.asarray(self.tangential) * pair.stiffness)
 
     def _largest_relative_overlap(self, pair: DensifyingPair, mass: Real) -> Real:
-        """Largest relative overlap x of an elastic impact at the speed given."""
+        """Largest relative overlap x of an elastic impact at ``impact_speed``."""
         return largest_overlap(
             0.5
             * mass
@@ -149,10 +155,10 @@ class Densifying:
 
 def relative_spring(x: Array) -> tuple[Array, Array, Array]:
     """Force over K D, energy over K D^2, and force over sqrt(2 K U), at relative overlaps x = s /
-    D, arrays alike.
+    D.
 
-    The last is 1 at x = 0. Below 0.05 by the series of the logarithm, whose rounding would be lost
-    otherwise.
+    The last one is 1 at x = 0. Below 0.05 the series of the logarithm is used, to avoid
+    cancellation.
     """
     inside = jnp.clip(x, 0, LINEAR_LIMIT)
     more = jnp.maximum(x - LINEAR_LIMIT, 0)
@@ -186,9 +192,9 @@ def largest_overlap(energy: Real) -> Real:
 
 
 def loading_time(pair: DensifyingPair, mass: Real, speed: Real) -> Real:
-    """From first touch to the largest overlap (s) of an elastic impact: int_0^(pi/2) m v sin(phi) /
-    F dphi, where the energy at phi is that of the impact times sin^2(phi). In numpy, double
-    precision.
+    """Time (s) from first touch to the largest overlap of an elastic impact: int_0^(pi/2) m v
+    sin(phi) / F dphi, where the energy at phi is that of the impact times sin^2(phi). In numpy,
+    double precision.
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     phase = 0.25 * np.pi * (nodes + 1)
@@ -205,12 +211,12 @@ def loading_time(pair: DensifyingPair, mass: Real, speed: Real) -> Real:
 
 
 def _tangent_stiffness(pair: DensifyingPair, x: Real) -> Real:
-    """dF / ds (N/m) at relative overlaps."""
+    """dF / ds (N/m) at relative overlaps x."""
     return np.asarray(pair.stiffness) / (1 - np.minimum(x, LINEAR_LIMIT)) ** 2
 
 
 def _damping_coefficient(pair: DensifyingPair, x: Real) -> Real:
-    """c (N s/m) at relative overlaps."""
+    """c (N s/m) at relative overlaps x."""
     rate = np.asarray(relative_spring(jnp.asarray(x))[2], float)
     return (
         2

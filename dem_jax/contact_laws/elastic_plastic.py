@@ -1,24 +1,24 @@
-"""Spheres that yield: Thornton's elastic-plastic contact, whose restitution falls with the speed of
-the impact.
+"""Yielding spheres: Thornton's elastic-plastic contact, whose restitution decreases with the impact
+speed.
 
     F = 4/3 E* R^(1/2) s^(3/2) up to s_y = R (pi p / 2 E*)^2,    beyond it F = F_y + pi p R (s -
     s_y),    F_y = 2/3 pi p R s_y
 
-with the contact pressure p at which the softer body yields, and 1/E*, 1/R as of ``hertz_mindlin``
-(Thornton, J. Appl. Mech. 64 (1997) 383-386). Unloading, and loading again up to the deepest overlap
+with the contact pressure p at which the softer body yields, and 1/E*, 1/R as in ``hertz_mindlin``
+(Thornton, J. Appl. Mech. 64 (1997) 383-386). Unloading, and reloading up to the deepest overlap
 s_m, is Hertz's law of the flattened contact:
 
     F = F_m (x / d)^(3/2),    x = s - s_m + d,    d = 3 F_m / (4 E* a),    a^2 = (2 F_m + F_y) / (2
     pi p)  (R s_m up to s_y).
 
-There, where nothing yields, a dashpot c = zeta (5 m F_m / d)^(1/2) (x / d)^(1/4) takes the factor
-``material.restitution`` of the speed (``dashpot``, half of an impact): pieces come to rest. An
-impact at speed v therefore has the restitution
+On this branch nothing yields, and a dashpot c = zeta (5 m F_m / d)^(1/2) (x / d)^(1/4) reduces the
+speed by the factor ``material.restitution`` (``dashpot``, half of an impact), so that pieces come
+to rest. An impact at speed v therefore has the restitution
 
     e = restitution * e_p(v),    e_p^2 = 3 F_m^2 / (10 E* a) / (m v^2 / 2),
 
-which is 1 up to the speed of yield v_y, m v_y^2 / 2 = 2/5 F_y s_y, and falls with v^(-1/4) far
-above it. The dent is forgotten where bodies part.
+which is 1 up to the speed of yield v_y, m v_y^2 / 2 = 2/5 F_y s_y, and decreases with v^(-1/4) far
+above it. The dent is discarded at separation.
 """
 
 from typing import NamedTuple
@@ -52,7 +52,7 @@ class ElasticPlasticPair(NamedTuple):
 
 
 class ElasticPlasticHistory(NamedTuple):
-    """Of contacts, at the last step."""
+    """History of contacts, at the last step."""
 
     overlap: Array  # [P] (m): dashpot.elastic_overlap
     deepest: Array  # [P] (m): s_m, the largest overlap since first touch
@@ -61,7 +61,7 @@ class ElasticPlasticHistory(NamedTuple):
 
 
 class FlattenedContact(NamedTuple):
-    """The flattened contact of the deepest overlap."""
+    """The flattened contact at the deepest overlap."""
 
     force: Array  # (N): F_m
     depth: Array  # (m): d, its elastic part
@@ -70,20 +70,20 @@ class FlattenedContact(NamedTuple):
 
 @pytree
 class ElasticPlastic:
-    """Ends where bodies part."""
+    """Thornton's law, which ends at separation."""
 
     pressure: Array  # (Pa): p
     tangential: Array  # K_t over the stiffness of yielding
-    impact_speed: Array  # (m/s): the fastest that the time step resolves
+    impact_speed: Array  # (m/s): the fastest impact that the time step resolves
 
     def pair_parameters(self, couple: MaterialPair) -> ElasticPlasticPair:
-        """Of moduli, curvatures and the restitution."""
+        """Constants from moduli, curvatures and the restitution."""
         (e_a, e_b), (nu_a, nu_b) = couple.youngs_modulus, couple.poisson_ratio
         modulus = 1 / ((1 - nu_a * nu_a) / e_a + (1 - nu_b * nu_b) / e_b)
         radius = 1 / (couple.curvature[0] + couple.curvature[1])
         shape = jnp.broadcast_shapes(jnp.shape(modulus), jnp.shape(radius))
-        ratio = dashpot.damping_ratio(couple.restitution**2)  # half of such an impact has the
-        # restitution
+        ratio = dashpot.damping_ratio(couple.restitution**2)  # half of an impact with this
+        # restitution has the restitution of the pair
         pressure = jnp.broadcast_to(jnp.asarray(self.pressure), shape)
         return ElasticPlasticPair(
             modulus,
@@ -96,7 +96,7 @@ class ElasticPlastic:
         )
 
     def init_history(self, pair: ElasticPlasticPair, like: Array) -> ElasticPlasticHistory:
-        """No overlap."""
+        """History with zero overlap."""
         zero = jnp.zeros_like(like)
         return ElasticPlasticHistory(
             zero, zero, friction.init_spring(pair.friction, pair.patch, like)
@@ -105,7 +105,7 @@ class ElasticPlastic:
     def force(
         self, pair: ElasticPlasticPair, history: ElasticPlasticHistory, contact: ContactKinematics
     ) -> Response:
-        """Spring, dashpot below the deepest overlap, and friction."""
+        """Force of the spring, of the dashpot below the deepest overlap, and of friction."""
         c = contact
         s = vector.fusion_barrier(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
         deepest = jnp.where(s > 0, jnp.maximum(history.deepest, s), 0)
@@ -129,7 +129,7 @@ class ElasticPlastic:
     def energy(
         self, pair: ElasticPlasticPair, history: ElasticPlasticHistory, overlap: Array
     ) -> Array:
-        """2/5 F_m d (x / d)^(5/2), and of the tangential spring (J)."""
+        """Energy (J): 2/5 F_m d (x / d)^(5/2), and that of the tangential spring."""
         dent = flatten_contact(pair, history.deepest)
         place = _relative_elastic_overlap(dent, history.overlap - history.deepest)
         energy = 0.4 * dent.force * dent.depth * place * place * vector.safe_sqrt(place)
@@ -142,8 +142,8 @@ class ElasticPlastic:
         return None
 
     def critical_steps(self, pair: ElasticPlasticPair, mass: Real) -> dict[str, Real]:
-        """By the stiffest parts of loading and unloading, and by the dashpot, at the speed given
-        (s).
+        """Critical steps (s) from the largest loading and unloading stiffness and from the dashpot,
+        at ``impact_speed``.
         """
         load, unload, damping = self._impact_stiffness(pair, mass)
         rate = np.maximum(damping, 1e-9 * np.sqrt(mass * unload))
@@ -158,12 +158,12 @@ class ElasticPlastic:
         }
 
     def stable_step(self, pair: ElasticPlasticPair, mass: Real) -> Real:
-        """Linear stability limit (s) of unloading from a central impact at the speed given."""
+        """Linear stability limit (s) of unloading from a central impact at ``impact_speed``."""
         _, unload, damping = self._impact_stiffness(pair, np.asarray(pair.mass))
         return dashpot.stable_step(mass, unload, damping, np.asarray(pair.mass))
 
     def loading_step(self, pair: ElasticPlasticPair, mass: Real) -> Real:
-        """2 / omega (s) of the stiffest part of loading."""
+        """2 / omega (s) of the largest loading stiffness."""
         return 2 * np.sqrt(mass / self._impact_stiffness(pair, np.asarray(pair.mass))[0])
 
     def tangential_stiffness(self, pair: ElasticPlasticPair) -> Real | None:
@@ -173,8 +173,8 @@ class ElasticPlastic:
         )
 
     def _impact_stiffness(self, pair: ElasticPlasticPair, mass: Real) -> tuple[Real, Real, Real]:
-        """Stiffness (N/m) of loading and of unloading at the largest overlap of an impact at the
-        speed given, and c (N s/m).
+        """Loading and unloading stiffness (N/m) at the largest overlap of an impact at
+        ``impact_speed``, and c (N s/m).
         """
         deepest = largest_overlap(pair, mass, self.impact_speed)
         dent = [np.asarray(x, float) for x in flatten_contact(pair, jnp.asarray(deepest))]
@@ -188,12 +188,12 @@ class ElasticPlastic:
 
 
 def yield_overlap(pair: ElasticPlasticPair) -> Array:
-    """s_y (m), from which the contact yields."""
+    """s_y (m), the overlap at which the contact yields."""
     return pair.radius * (0.5 * np.pi * pair.pressure / pair.modulus) ** 2
 
 
 def yield_stiffness(pair: ElasticPlasticPair) -> Array:
-    """pi p R (N/m), the slope of the force while it yields."""
+    """pi p R (N/m), the slope of the force during yielding."""
     return np.pi * pair.pressure * pair.radius
 
 
@@ -206,7 +206,7 @@ def loading_force(pair: ElasticPlasticPair, overlap: Array) -> Array:
 
 
 def flatten_contact(pair: ElasticPlasticPair, deepest: Array) -> FlattenedContact:
-    """The flattened contact of the deepest overlap (m)."""
+    """The flattened contact at a deepest overlap (m)."""
     force, edge = loading_force(pair, deepest), yield_overlap(pair)
     more = force / (np.pi * pair.pressure) + pair.radius * edge / 3  # (2 F + F_y) / (2 pi p)
     radius = vector.safe_sqrt(jnp.where(deepest < edge, pair.radius * deepest, more))
@@ -214,12 +214,12 @@ def flatten_contact(pair: ElasticPlasticPair, deepest: Array) -> FlattenedContac
 
 
 def _relative_elastic_overlap(dent: FlattenedContact, above: Array) -> Array:
-    """x / d of overlaps above the deepest one (m, negative below), 1 at the deepest."""
+    """x / d for overlaps relative to the deepest one (m, negative below), 1 at the deepest."""
     return jnp.where(dent.depth > 0, jnp.maximum(1 + above / _nonzero_length(dent.depth), 0), 0)
 
 
 def _nonzero_length(length: Array) -> Array:
-    """A length to divide by."""
+    """The length, with zeros replaced so that it can be a divisor."""
     return jnp.where(length > 0, length, 1)
 
 

@@ -1,17 +1,18 @@
-"""Tangential spring with the Coulomb limit, which the laws of normal force share; knows no
+"""Tangential spring with the Coulomb limit, shared by the laws of normal force; independent of
 geometry.
 
-Where bodies touch over a patch it also holds them against turning about the normal: with the arm r
-of the patch (``narrow_phase.patch_moments``) and the turn d phi of one on the other, a spring of
-the same stiffness acts on the way r d phi,
+If bodies touch over a patch, it also resists rotation about the normal: with the arm r of the patch
+(``narrow_phase.patch_moments``) and the relative rotation d phi, a spring of the same stiffness
+acts on the displacement r d phi,
 
     df = -K_t r d phi,    M = r f,    sqrt(|F_t|^2 + f^2) <= mu F_n.
 
 The torque alone is at most mu F_n r, and force and torque share one limit, the ellipsoid of Howe
 and Cutkosky (Int. J. Robotics Research 15 (1996) 531-549; Goyal, Ruina and Papadopoulos, Wear 143
-(1991) 307-330): a body that slides hardly resists a slow turn, and the more it spins the less it
-resists sliding. Its normal is the direction of slip, so that friction takes what it can. What is
-stored is f^2 / 2 K_t whatever the arm does meanwhile, so that a patch that changes makes no energy.
+(1991) 307-330): a sliding body hardly resists a slow rotation, and the faster it spins the less it
+resists sliding. The normal of the ellipsoid is the direction of slip, so that friction dissipates
+as much as possible. The stored energy is f^2 / 2 K_t whatever the arm does meanwhile, so that a
+changing patch creates no energy.
 """
 
 from typing import Any
@@ -30,7 +31,7 @@ Shear = tuple[Array, ...]  # [P] (N): tangential force on b, x, y, z, and of a p
 
 
 def init_spring(friction: Array | None, patch: PatchMarker | None, like: Array) -> Array | None:
-    """The spring of contacts that begin, [3, P], of patches [4, P]; None without friction."""
+    """The tangential spring of new contacts, [3, P], with a patch [4, P]; None without friction."""
     return (
         None
         if friction is None
@@ -41,13 +42,15 @@ def init_spring(friction: Array | None, patch: PatchMarker | None, like: Array) 
 def respond_with_friction(
     push: Array, history: Any, contact: ContactKinematics, stiffness: Array, friction: Array | None
 ) -> Response:
-    """The response of a law: its normal force, friction, and its history with the spring of this
-    step.
+    """The response of a law: its normal force, friction, and its history with the updated spring.
 
     Args:
         push: normal force, [P] (N).
-        history: of the law in this step, but for ``spring``, which is that of the last one, None
-        without friction. contact: motion in this step. stiffness: K_t (N/m). friction: mu.
+        history: of the law in this step, except for ``spring``, which is that of the last step;
+            None without friction.
+        contact: motion in this step.
+        stiffness: K_t (N/m).
+        friction: mu.
     """
     if history.spring is None or friction is None:
         return Response(push, None, history)
@@ -77,7 +80,7 @@ def update_shear(
 
 
 def add_shear(answer: Response, shear: Shear | None, contact: ContactKinematics) -> Response:
-    """The answer with the tangential force, and with the torque of a patch."""
+    """The response with the tangential force and the torque of a patch added."""
     if shear is None:
         return answer
     answer = answer._replace(tangential_force=_tangential_part(shear))
@@ -90,22 +93,22 @@ def add_shear(answer: Response, shear: Shear | None, contact: ContactKinematics)
 
 
 def shear_magnitude(shear: Shear) -> Array:
-    """What the Coulomb limit is held against, [P] (N)."""
+    """Magnitude of the shear, which the Coulomb limit bounds, [P] (N)."""
     return vector.safe_sqrt(_dot_shear(shear, shear))
 
 
 def scale_shear(factor: Array, shear: Shear) -> Shear:
-    """``factor`` times each."""
+    """The shear multiplied by ``factor``."""
     return tuple(factor * c for c in shear)
 
 
 def spring_energy(spring: Array, stiffness: Array) -> Array:
-    """What the spring stores, [P] (J). stiffness: K_t (N/m)."""
+    """Energy of the tangential spring, [P] (J). stiffness: K_t (N/m)."""
     return 0.5 * _dot_shear(tuple(spring), tuple(spring)) / stiffness
 
 
 def add_spring_energy(normal: Array, spring: Array | None, stiffness: Array) -> Array:
-    """Energy of a normal force and of the tangential spring beside it, if there is one, [P] (J).
+    """Sum of the energy of the normal force and of the tangential spring, if there is one, [P] (J).
     stiffness: K_t (N/m).
     """
     return normal if spring is None else normal + spring_energy(spring, stiffness)
@@ -122,11 +125,11 @@ def tangential_force(
     """Linear spring with Coulomb limit: the tangential force on body b now (N), three arrays.
 
     spring: the force of the last step (N); normal: unit; slip: tangential displacement of b
-    relative to a in this step (m); stiffness: K_t (N/m); friction: mu. The old force is turned with
-    the normal, keeping its size. Where the sum exceeds mu F_n it slides: the size is mu F_n, and
-    the direction, which lags behind that of a slip that turns, is the mean-normal one of Rice and
-    Tracey. (Cutting the sum back along itself has it relax to the slip's direction with an error of
-    first order in the step.)
+    relative to a in this step (m); stiffness: K_t (N/m); friction: mu. The old force is rotated
+    with the normal, keeping its size. If the sum exceeds mu F_n, the contact slides: the size is mu
+    F_n, and the direction, which lags behind a rotating slip, is the mean-normal one of Rice and
+    Tracey. (Truncating the sum along itself relaxes to the slip's direction with an error of first
+    order in the step.)
     """
     before = vector.norm(spring)
     turned = vector.add_scaled(spring, -vector.dot(spring, normal), normal)
@@ -148,7 +151,7 @@ def patch_force(
     stiffness: Array,
     friction: Array,
 ) -> Shear:
-    """As ``tangential_force``, with the fourth component f of a patch, which does not turn."""
+    """As ``tangential_force``, with the fourth component f of a patch, which does not rotate."""
     *along, about = spring
     before = along[0], along[1], along[2]
     turned = vector.add_scaled(before, -vector.dot(before, normal), normal)
@@ -172,7 +175,7 @@ def patch_force(
 
 
 def _safe_ratio(numerator: Array, size_of: Array) -> Array:
-    """A ratio, 0 where the size below is."""
+    """A ratio, 0 where the denominator is 0."""
     return jnp.where(size_of > 0, numerator / jnp.where(size_of > 0, size_of, 1), 0)
 
 
@@ -186,8 +189,9 @@ def _tangential_part(shear: Shear) -> Vector:
 
 
 def frictional_stiffness(friction: Real | None, stiffness: Real) -> Real | None:
-    """Stiffness (N/m) of the tangential springs that can bear a force, else 0; None where no pair
-    of the scene has friction.
+    """Stiffness (N/m) of the tangential springs of pairs with friction, 0 for others; None if no
+    pair of the scene has friction.
 
-    Host side, numpy."""
+    Host side, numpy.
+    """
     return None if friction is None else np.where(np.asarray(friction) > 0, stiffness, 0)

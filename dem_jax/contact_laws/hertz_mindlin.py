@@ -4,16 +4,16 @@ limit.
     F_n = max(k s^(3/2) + eta s^(1/4) s', 0),    k = 4/3 E* sqrt(R*),    eta = sqrt(5 m k) zeta
     1/E* = (1 - nu_a^2)/E_a + (1 - nu_b^2)/E_b,    1/R* = 1/R_a + 1/R_b
 
-with m the effective mass and zeta from the restitution, which then is exact at any speed
+with m the effective mass and zeta from the restitution, which is then exact at any speed
 (``dashpot``). Without damping an impact at speed v has the largest overlap (5 m v^2 / 4 k)^(2/5)
 and lasts 2.943275 times that over v (Johnson, Contact Mechanics, 1985, chapter 11.4).
 
     K_t = 8 G* sqrt(R* s),    1/G* = (2 - nu_a)/G_a + (2 - nu_b)/G_b,    G = E / 2 (1 + nu)
 
-(Mindlin, J. Appl. Mech. 16 (1949) 259-268), an incremental spring, at most mu F_n. Where K_t falls
-the tangential way is kept and the force falls with it: were the force kept, energy would come from
-nothing (Elata and Berryman, Mech. Mater. 24 (1996)). The stiffness of a contact grows with its
-speed: the time step resolves impacts up to ``impact_speed``.
+(Mindlin, J. Appl. Mech. 16 (1949) 259-268), an incremental spring, at most mu F_n. When K_t
+decreases the tangential displacement is kept and the force decreases with it; keeping the force
+would create energy (Elata and Berryman, Mech. Mater. 24 (1996)). The stiffness of a contact
+increases with its speed: the time step resolves impacts up to ``impact_speed``.
 """
 
 from typing import NamedTuple
@@ -47,12 +47,12 @@ class HertzMindlinPair(NamedTuple):
 
 @pytree
 class HertzMindlin:
-    """Ends where bodies part."""
+    """The law of Hertz and Mindlin, which ends at separation."""
 
-    impact_speed: Array  # (m/s): the fastest that the time step resolves
+    impact_speed: Array  # (m/s): the fastest impact that the time step resolves
 
     def pair_parameters(self, couple: MaterialPair) -> HertzMindlinPair:
-        """Of moduli and curvatures."""
+        """Constants from moduli, curvatures and the restitution."""
         both = list(zip(couple.youngs_modulus, couple.poisson_ratio, strict=True))
         normal = 1 / sum((1 - nu * nu) / e for e, nu in both)
         shear = 1 / sum(2 * (2 - nu) * (1 + nu) / e for e, nu in both)
@@ -64,7 +64,7 @@ class HertzMindlin:
         )
 
     def init_history(self, pair: HertzMindlinPair, like: Array) -> SpringHistory:
-        """No overlap."""
+        """History with zero overlap."""
         return SpringHistory(
             jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like)
         )
@@ -72,7 +72,7 @@ class HertzMindlin:
     def force(
         self, pair: HertzMindlinPair, history: SpringHistory, contact: ContactKinematics
     ) -> Response:
-        """Hertz, damping and friction."""
+        """Force of Hertz's spring, damping and friction."""
         c, before = contact, history.overlap
         s = vector.fusion_barrier(dashpot.elastic_overlap(before, c.approach, c.overlap))
         root = vector.safe_sqrt(s)
@@ -91,7 +91,7 @@ class HertzMindlin:
         )
 
     def energy(self, pair: HertzMindlinPair, history: SpringHistory, overlap: Array) -> Array:
-        """2/5 k s^(5/2), and of the tangential spring (J)."""
+        """Energy (J): 2/5 k s^(5/2), and that of the tangential spring."""
         s = history.overlap
         root = vector.safe_sqrt(s)
         energy = 0.4 * pair.stiffness * s * s * root
@@ -104,30 +104,36 @@ class HertzMindlin:
         return None
 
     def critical_steps(self, pair: HertzMindlinPair, mass: Real) -> dict[str, Real]:
-        """By the elastic impact at the speed given, and by the dashpot at its largest overlap (s)."""
+        """Critical steps (s) from the elastic impact at ``impact_speed`` and from the dashpot at
+        its largest overlap.
+        """
         s = self._largest_overlap(pair, mass)
         quarter = 0.5 * IMPACT_TIME * s / self.impact_speed
         return dashpot.critical_steps(mass, quarter, np.asarray(pair.damping) * s**0.25)
 
     def stable_step(self, pair: HertzMindlinPair, mass: Real) -> Real:
-        """Linear stability limit (s) at the largest overlap of a central impact at the speed given."""
+        """Linear stability limit (s) at the largest overlap of a central impact at
+        ``impact_speed``.
+        """
         s = self._largest_overlap(pair, pair.mass)
         return dashpot.stable_step(
             mass, 1.5 * pair.stiffness * s**0.5, np.asarray(pair.damping) * s**0.25, pair.mass
         )
 
     def loading_step(self, pair: HertzMindlinPair, mass: Real) -> Real:
-        """2 / omega (s) there, of the elastic force."""
+        """2 / omega (s) of the elastic force at the largest overlap of a central impact at
+        ``impact_speed``.
+        """
         return 2 * np.sqrt(
             mass / (1.5 * pair.stiffness * self._largest_overlap(pair, pair.mass) ** 0.5)
         )
 
     def tangential_stiffness(self, pair: HertzMindlinPair) -> Real | None:
-        """K_t (N/m) there."""
+        """K_t (N/m) at the largest overlap of a central impact at ``impact_speed``."""
         return frictional_stiffness(
             pair.friction, pair.tangential * self._largest_overlap(pair, pair.mass) ** 0.5
         )
 
     def _largest_overlap(self, pair: HertzMindlinPair, mass: Real) -> Real:
-        """Largest overlap (m) of an elastic impact."""
+        """Largest overlap (m) of an elastic impact at ``impact_speed``."""
         return (1.25 * mass * self.impact_speed**2 / pair.stiffness) ** 0.4

@@ -1,13 +1,13 @@
-"""Kinks of a contact's force over time (first touch, reversal, separation), and the impulse that
-the time step misses there.
+"""Kinks of a contact force over time (first touch, reversal, separation), and the impulse that the
+time step misses there.
 
-Kick, drift, kick adds up impulses by the trapezoidal rule. Where the slope of a force jumps by J
-(N/s), a part theta of a step from a step, that leaves out
+Kick, drift, kick sums impulses by the trapezoidal rule. If the slope of a force jumps by J (N/s) at
+a fraction theta of a step, the sum misses
 
     J dt^2 B_2(theta) / 2,    B_2(theta) = theta^2 - theta + 1/6,
 
-by the formula of Euler and Maclaurin, and an impact is of second order only; with it, the rebound
-is of fourth. It is negative around theta = 1/2; its mean is nothing.
+by the Euler-Maclaurin formula, and an impact is accurate to second order only; with this correction
+the rebound is of fourth order. The correction is negative around theta = 1/2; its mean is zero.
 """
 
 from typing import NamedTuple
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 Array = jax.Array
 
-STICK_LIMIT = 1 - 1e-5  # of the Coulomb limit: below it a contact does not slide
+STICK_LIMIT = 1 - 1e-5  # of the Coulomb limit: below, a contact sticks
 
 
 def bernoulli_kernel(part: Array) -> Array:
@@ -34,17 +34,17 @@ class KinkCorrection(NamedTuple):
     part: Array  # theta
 
     def normal_correction(self) -> Array:
-        """(N), to add to F_n; the sum is positive."""
+        """Correction (N) to add to F_n; the sum is positive."""
         return jnp.where(
             self.touches | self.separates, self.change * bernoulli_kernel(self.part), 0
         )
 
     def tangential_correction(self, force: Array, spring: Array, friction: Array) -> Array:
-        """To add to the tangential force, relative to it; force: F_n; spring: size of the
-        tangential spring (N); friction: mu.
+        """Correction to add to the tangential force, relative to it; force: F_n; spring: size of
+        the tangential spring (N); friction: mu.
 
-        It goes with F_n, but where it holds until the end: then it begins to slide, with a corner
-        too, before it ends.
+        It is proportional to F_n, except where the contact sticks until separation: it then begins
+        to slide shortly before its end, which is another kink.
         """
         limit = friction * force
         holds = self.separates & (spring < STICK_LIMIT * limit)
@@ -55,11 +55,11 @@ class KinkCorrection(NamedTuple):
 
 
 class BranchSlopes(NamedTuple):
-    """Of a law whose force goes along straight lines, [P] or [1]."""
+    """Slopes of a law with piecewise linear force, [P] or [1]."""
 
-    load: Array  # (N/m): slope of the line of loading
-    unload: Array  # (N/m): of unloading
-    separation: Array  # of the line on which bodies part, over that of loading
+    load: Array  # (N/m): slope of the loading line
+    unload: Array  # (N/m): slope of the unloading line
+    separation: Array  # slope of the separation line over that of the loading line
 
 
 def find_kink_correction(
@@ -69,11 +69,11 @@ def find_kink_correction(
     overlap: Array,
     resolved: Array | float,
 ) -> KinkCorrection:
-    """The corner where a contact begins or ends.
+    """The kink where a contact begins or ends.
 
-    before, now: force (N) and way of approach (m) of the last step and of this, [P]; overlap: [P]
-    (m), now; resolved: as in ``Contact``. The step to come is foreseen from these two: what they
-    differ by goes with the force.
+    before, now: force (N) and approach (m) of the last step and of this one, [P]; overlap: [P] (m),
+    now; resolved: as in ``ContactKinematics``. The next step is extrapolated from these two: the
+    change of the approach is proportional to the force.
     """
     (force_before, way), (force, approach) = before, now
     touches = (force_before <= 0) & (overlap > 0) & (overlap < 2 * approach)
@@ -87,21 +87,19 @@ def find_kink_correction(
 
 
 class Reversal(NamedTuple):
-    """Where loading has ended: how much larger the overlap was there than before this step, [P]
-    (m), else 0.
-    """
+    """Excess of the overlap at the end of loading over that before this step, [P] (m), else 0."""
 
     overlap_excess: Array
-    off_mean: Array  # less its mean over when it may have been
+    off_mean: Array  # minus its mean over the possible times of reversal
 
 
 def find_reversal(before: Array, now: Array, resolved: Array | float) -> Reversal:
-    """Of contacts by their ways of approach (m) in the last step, not positive where they did not
-    load, and in this.
+    """Reversals of contacts from their approach (m) in the last step, not positive unless they were
+    loading, and in this step.
 
-    The overlap is a parabola from the middle of the last step to that of this one, with the ways as
-    its slopes there; its top lies above what there was before this step by their change times t^2 /
-    2, t being the time between the two, in steps.
+    The overlap is a parabola from the middle of the last step to that of this one, with the
+    approaches as its slopes there; its top lies above the overlap before this step by the change of
+    the approach times t^2 / 2, with t the time between the two, in steps.
     """
     turns = (before > 0) & (now <= 0)
     change = jnp.where(turns, before - now, 1)

@@ -38,7 +38,7 @@ class LinearDashpotPair(NamedTuple):
 
 @pytree
 class LinearDashpot:
-    """Ends where bodies part."""
+    """The linear law, which ends at separation."""
 
     tangential: Array  # K_t / K
 
@@ -49,7 +49,7 @@ class LinearDashpot:
         return LinearDashpotPair(stiffness, damping, couple.mass, couple.friction, couple.patch)
 
     def init_history(self, pair: LinearDashpotPair, like: Array) -> SpringHistory:
-        """No overlap."""
+        """History with zero overlap."""
         return SpringHistory(
             jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like)
         )
@@ -57,7 +57,7 @@ class LinearDashpot:
     def force(
         self, pair: LinearDashpotPair, history: SpringHistory, contact: ContactKinematics
     ) -> Response:
-        """Spring, dashpot and friction."""
+        """Force of spring, dashpot and friction."""
         c = contact
         s = vector.fusion_barrier(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
         damping = pair.damping * dashpot.overlap_power(
@@ -75,7 +75,7 @@ class LinearDashpot:
         )
 
     def energy(self, pair: LinearDashpotPair, history: SpringHistory, overlap: Array) -> Array:
-        """Of both springs (J)."""
+        """Energy (J) of the normal and the tangential spring."""
         energy = 0.5 * pair.stiffness * history.overlap**2
         return friction.add_spring_energy(energy, history.spring, self.tangential * pair.stiffness)
 
@@ -84,7 +84,7 @@ class LinearDashpot:
         return None
 
     def critical_steps(self, pair: LinearDashpotPair, mass: Real) -> dict[str, Real]:
-        """By spring and dashpot (s)."""
+        """Critical steps (s) from the spring and the dashpot."""
         return dashpot.critical_steps(mass, quarter_period(mass, pair.stiffness), pair.damping)
 
     def stable_step(self, pair: LinearDashpotPair, mass: Real) -> Real:

@@ -13,7 +13,7 @@ BodyValues = tuple[Array, Array]  # of bodies a and b
 def make_material_pair(
     materials: Materials, material: BodyValues, size: BodyValues, curvature: BodyValues, mass: Array
 ) -> MaterialPair:
-    """The couple of bodies a and b.
+    """Material pair of bodies a and b.
 
     material: pair of rows of the table [P] int; size: pair of L [P] (m); curvature: pair [P] (1/m);
     mass: effective [P] (kg).
@@ -39,8 +39,8 @@ def look_up_pair(table: None, a: Array, b: Array) -> None: ...
 @overload
 def look_up_pair(table: Array | None, a: Array, b: Array) -> Array | None: ...
 def look_up_pair(table: Array | None, a: Array, b: Array) -> Array | None:
-    """The value of pairs of rows, [P]; [1] where all pairs have the same (``Materials``); None
-    where there is none.
+    """Value of pairs of table rows, [P]; [1] if all pairs have the same one (``Materials``); None
+    without a table.
     """
     if table is None:
         return None

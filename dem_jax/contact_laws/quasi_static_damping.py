@@ -1,34 +1,34 @@
-"""Rest: what ends the ringing, rocking and creeping of contacts that have long been off both lines
-of Walton and Braun.
+"""Damping of quasi-static contacts: ends the oscillation, rocking and creeping of contacts that
+have long been off both lines of Walton and Braun.
 
-Between the loading line and that of separation eqs 1-4 are elastic, as is the tangential spring
-below the Coulomb limit: pieces at rest ring for ever, with a single contact point they rock and
-spin on their faces without loss, and friction then lets them creep. An impact goes along the
-loading line, once down the unloading line and along that of separation. A contact that stays
-between both lines for longer than
+Between the loading line and the separation line eqs 1-4 are elastic, as is the tangential spring
+below the Coulomb limit: pieces at rest oscillate forever, rock and spin on their faces without loss
+at a single contact point, and friction then lets them creep. An impact follows the loading line,
+then once the unloading line, and then the separation line. A contact that stays between both lines
+for longer than
 
     T = 10 pi / 2 sqrt(m / K_nl)
 
-rests, where each step on one of them takes back ten: what rings as high as it came reaches the
-loading line for a step of each period. It rests until it has been on one of them for longer than T
-/ 10 (in single precision rounding takes a contact there for a step or two). Before it rests
-everything here is exactly zero, and impacts are those of eqs 1-4. At rest dashpots of one damping
-ratio zeta are beside both springs, on the ways s and u in and across the direction of the normal,
-which never make the normal force adhesive nor larger than that of the loading line, nor the
-tangential one larger than mu F_n:
+is at rest; each step on one of the lines takes back ten, since an oscillation that rises to its
+initial overlap touches the loading line for one step per period. It stays at rest until it has been
+on one of the lines for longer than T / 10 (in single precision, rounding puts a contact there for a
+step or two). Before that everything here is exactly zero, and impacts are those of eqs 1-4. At
+rest, dashpots of one damping ratio zeta act in parallel to both springs, on the displacements s and
+u along and across the normal. They never make the normal force adhesive or larger than that of the
+loading line, nor the tangential force larger than mu F_n:
 
     F_n + c_n s',    c_n = 2 zeta sqrt(m K_nu);    F_t - c_t u',    c_t = 2 zeta sqrt(m K_t).
 
-Between polytopes there are also the spring and the dashpot of a patch of radius r = L / 20 against
-the turn d of one body on the other; the spring slips beyond the torque that an arm l = L / 1000
-gives the normal force:
+Polytopes also have the spring and the dashpot of a patch of radius r = L / 20 against the rotation
+d of one body relative to the other; the spring slips beyond the torque of the normal force at an
+arm l = L / 1000:
 
     dM = -K_nl r^2 dd,    |M| <= l F_n,    M - c_n r^2 d'  while it does not slip.
 
-That is the rolling resistance of Ai, Chen, Rotter and Ooi (Powder Technology 206 (2011) 269-282,
-model C), with so short an arm that it holds what is balanced and hardly hinders anything else. With
-friction it acts across the normal only: about it the dashpot of the tangential spring damps the
-spring of the contact patch (``friction``).
+This is the rolling resistance of Ai, Chen, Rotter and Ooi (Powder Technology 206 (2011) 269-282,
+model C), with an arm so short that it holds balanced pieces and hardly hinders any other motion.
+With friction it acts only across the normal: about the normal the dashpot of the tangential spring
+damps the spring of the contact patch (``friction``).
 """
 
 from typing import NamedTuple
@@ -44,17 +44,17 @@ from dem_jax.math.vector import Vector
 
 Array = jax.Array
 
-WAIT_QUARTER_PERIODS = 10  # quarter periods of the loading branch, T; an impact, that of two
-# corners one after the other too, is over sooner
-PATCH_RADIUS_RATIO = 1 / 20  # r / L: no piece is so slender that its turning is the quickest motion
+WAIT_QUARTER_PERIODS = 10  # T in quarter periods of the loading branch; an impact, even of two
+# corners in succession, is shorter
+PATCH_RADIUS_RATIO = 1 / 20  # r / L: even for slender pieces the rotation is not the fastest motion
 TORQUE_ARM_RATIO = 1 / 1000  # l / L
 
 
 class QuasiStaticHistory(NamedTuple):
     """History of contacts, at the last step."""
 
-    age: Array  # [P]: below 1 for how long it has been off both lines, in T; from 1 to 2 it rests,
-    # 2 less that on one, in T / 10
+    age: Array  # [P]: below 1: time off both lines, in T; from 1 to 2 at rest: 2 minus the time on
+    # a line, in T / 10
     twist: Array  # [3, P] (N m): elastic torque on b, world axes
 
 
@@ -67,7 +67,7 @@ class UndampedFriction(NamedTuple):
 
 
 class DampedSpring(NamedTuple):
-    """What the damping of a contact at rest hangs on, [P] or [1]."""
+    """Constants of the damping of a contact at rest, [P] or [1]."""
 
     load: Array  # (N/m): K_nl
     unload: Array  # (N/m): K_nu
@@ -82,7 +82,7 @@ class DampedSpring(NamedTuple):
 
 
 def init_rest_history(like: Array) -> QuasiStaticHistory:
-    """At first touch."""
+    """History at first touch."""
     return QuasiStaticHistory(jnp.zeros_like(like), jnp.stack([jnp.zeros_like(like)] * 3))
 
 
@@ -94,8 +94,8 @@ def add_dashpots(
     c: ContactKinematics,
     separation: Array,
 ) -> tuple[Response, Shear | None]:
-    """The answer of eqs 1-4, whose history has F_n as ``force`` and a place for ``resting``, with
-    what acts on contacts at rest, and friction likewise. separation: lambda.
+    """The response of eqs 1-4, whose history has F_n as ``force`` and a field ``resting``, with the
+    damping of contacts at rest, and the damped friction. separation: lambda.
     """
     force, across, torque, elastic = answer.history.force, rubbing.shear, None, before.twist
     loading = spring.load * jnp.maximum(c.overlap, 0)
@@ -141,14 +141,16 @@ def update_rest_age(age: Array, is_between: Array, spring: DampedSpring, dt: Arr
 
 
 def damping_coefficient(spring: DampedSpring, stiffness: Array) -> Array:
-    """c (N s/m) beside a stiffness (N/m)."""
+    """c (N s/m) of the dashpot parallel to a stiffness (N/m)."""
     return 2 * spring.ratio * jnp.sqrt(spring.mass * stiffness)
 
 
 def normal_damping_force(
     age: Array, spring: DampedSpring, approach: Array, dt: Array, least: Array, most: Array
 ) -> Array:
-    """Normal force of the dashpot (N), [P], held between two others. approach: (m) in this step."""
+    """Normal force of the dashpot (N), [P], clipped to ``least`` and ``most``. approach: (m) in
+    this step.
+    """
     return jnp.where(
         age >= 1,
         jnp.clip(damping_coefficient(spring, spring.unload) / dt * approach, least, most),
@@ -165,8 +167,8 @@ def damped_friction(
     limit: Array,
     dt: Array,
 ) -> Shear:
-    """Friction (N) of K_t, which alone has ``elastic``, and the dashpot. slip: (m) in this step;
-    limit: mu F_n (N).
+    """Friction (N) of the spring K_t, whose force is ``elastic``, and of the dashpot. slip: (m) in
+    this step; limit: mu F_n (N).
     """
     rate = -damping_coefficient(spring, stiffness) / dt
     both = tuple(c + rate * d for c, d in zip(elastic, slip, strict=True))
@@ -184,8 +186,8 @@ def damped_torque(
     force: Array,
     dt: Array,
 ) -> tuple[Vector, Vector]:
-    """Torque on b and its elastic part (N m), [P] x 3. turn: of b on a in this step (rad); force:
-    F_n (N).
+    """Torque on b and its elastic part (N m), [P] x 3. turn: rotation of b relative to a in this
+    step (rad); force: F_n (N).
     """
     trial = vector.add_scaled(vector.unstack_vector(before.twist), -spring.rolling_stiffness, turn)
     size, limit = vector.norm(trial), TORQUE_ARM_RATIO * spring.size * force
@@ -201,6 +203,6 @@ def damped_torque(
 
 
 def torque_energy(resting: QuasiStaticHistory, spring: DampedSpring) -> Array:
-    """Of the elastic torque, [P] (J)."""
+    """Energy of the elastic torque, [P] (J)."""
     torque = vector.unstack_vector(resting.twist)
     return 0.5 * vector.dot(torque, torque) / spring.rolling_stiffness

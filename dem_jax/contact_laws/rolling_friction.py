@@ -1,19 +1,19 @@
-"""Rolling friction, which any contact law takes on: a torque against the rolling of one body on the
-other, of limited size.
+"""Rolling friction, which can be added to any contact law: a limited torque against the rolling of
+one body on the other.
 
-With the normal force F_n, the radius R of rolling, 1 / R = 1 / R_a + 1 / R_b, and the coefficient
+With the normal force F_n, the rolling radius R, 1 / R = 1 / R_a + 1 / R_b, and the coefficient
 mu_r, the lever arm over the radius (the tangent of the slope on which a sphere just stays), a
-spring acts on the turn d of one body on the other across the normal, and beside it, below its
-limit, a dashpot:
+spring acts on the rotation d of one body relative to the other across the normal, and in parallel,
+below its limit, a dashpot:
 
     dM = -k_r dd,    |M| <= mu_r R F_n,    k_r = 9/4 K (mu_r R)^2,    M - c_r d',    c_r = 2 zeta
     sqrt(k_r 7/5 m R^2),
 
-the whole never beyond the limit. That is model C, elastic-plastic spring and dashpot, of Ai, Chen,
+whose sum never exceeds the limit. This is model C, elastic-plastic spring and dashpot, of Ai, Chen,
 Rotter and Ooi (Powder Technology 206 (2011) 269-282), with the stiffness of Iwashita and Oda, zeta
-= 0.3 and K = E L of both bodies in series (eqs 5, 7 and 8). A sphere that rolls on a plane is
-slowed down by 5/7 mu_r g; one at rest on a slope below tan = mu_r stays. There is no torque about
-the normal. Bodies that are no spheres have the radius of the sphere of equal volume.
+= 0.3 and K = E L of both bodies in series (eqs 5, 7 and 8). A sphere that rolls on a plane
+decelerates by 5/7 mu_r g; one at rest on a slope below tan = mu_r stays. There is no torque about
+the normal. Bodies other than spheres have the radius of the sphere of equal volume.
 """
 
 from typing import Any, NamedTuple
@@ -37,7 +37,7 @@ DAMPING_RATIO = 0.3  # zeta
 class RollingPair(NamedTuple):
     """Constants of pairs, [P] or [1]."""
 
-    law: Any  # those of the law that takes it on
+    law: Any  # constants of the underlying law
     arm: Array  # (m): mu_r R
     stiffness: Array  # (N m): k_r
     damping: Array  # (N m s): c_r
@@ -47,19 +47,19 @@ class RollingPair(NamedTuple):
 class RollingHistory(NamedTuple):
     """History of contacts, at the last step."""
 
-    law: Any  # that of the law
+    law: Any  # history of the law
     torque: Array  # [3, P] (N m): M on b, of the spring, world axes
 
 
 @pytree
 class Rolling:
-    """A law with rolling friction; pairs whose mu_r is 0 have none."""
+    """A law with rolling friction; pairs with zero mu_r have none."""
 
     law: ContactLaw
 
     def pair_parameters(self, couple: MaterialPair) -> RollingPair:
-        """Those of the law, and of the spring. Raises SceneError where no pair of the scene has
-        rolling friction.
+        """Constants of the law and of the rolling spring. Raises SceneError if no pair of the scene
+        has rolling friction.
         """
         if couple.rolling is None:
             raise SceneError(
@@ -74,7 +74,7 @@ class Rolling:
         )
 
     def init_history(self, pair: RollingPair, like: Array) -> RollingHistory:
-        """No torque."""
+        """History with zero torque."""
         return RollingHistory(
             self.law.init_history(pair.law, like), jnp.stack([jnp.zeros_like(like)] * 3)
         )
@@ -82,7 +82,7 @@ class Rolling:
     def force(
         self, pair: RollingPair, history: RollingHistory, contact: ContactKinematics
     ) -> Response:
-        """The law's answer, and the torque."""
+        """The response of the law, with the rolling torque."""
         answer = self.law.force(pair.law, history.law, contact)
         assert contact.rolling_rotation is not None  # where a scene has rolling friction
         roll = vector.fusion_barrier(
@@ -108,28 +108,30 @@ class Rolling:
         )
 
     def energy(self, pair: RollingPair, history: RollingHistory, overlap: Array) -> Array:
-        """Elastic energy of the law and of the spring (J)."""
+        """Elastic energy (J) of the law and of the rolling spring."""
         torque, least = vector.unstack_vector(history.torque), jnp.finfo(overlap.dtype).tiny
         own = self.law.energy(pair.law, history.law, overlap)
         return own + 0.5 * vector.dot(torque, torque) / jnp.maximum(pair.stiffness, least)
 
     def interaction_range(self, pair: RollingPair) -> Array | None:
-        """That of the law (m)."""
+        """Interaction range (m) of the law."""
         return self.law.interaction_range(pair.law)
 
     def critical_steps(self, pair: RollingPair, mass: Real) -> dict[str, Real]:
-        """Those of the law (s)."""
+        """Critical steps (s) of the law."""
         return self.law.critical_steps(pair.law, mass)
 
     def stable_step(self, pair: RollingPair, mass: Real) -> Real:
-        """That of the law (s)."""
+        """Stability limit (s) of the law."""
         return self.law.stable_step(pair.law, mass)
 
     def loading_step(self, pair: RollingPair, mass: Real) -> Real:
-        """That of the law (s)."""
+        """Loading step (s) of the law."""
         return getattr(self.law, "loading_step", self.law.stable_step)(pair.law, mass)
 
     def tangential_stiffness(self, pair: RollingPair) -> Real | None:
-        """That of the law and, at the same distance from the centre, of the spring (N/m)."""
+        """Stiffness (N/m) of the law's tangential spring plus that of the rolling spring at the
+        same distance from the centre.
+        """
         own = getattr(self.law, "tangential_stiffness", lambda _: None)(pair.law)
         return np.asarray(pair.edge) + (0 if own is None else own)

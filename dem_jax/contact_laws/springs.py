@@ -10,7 +10,7 @@ Same = TypeVar("Same", float, np.ndarray, jax.Array)
 
 
 def combine_in_series(k1: Same, k2: Same) -> Same:
-    """Stiffness of two springs in series (N/m), eq. 5; likewise the effective mass of two bodies
+    """Stiffness of two springs in series (N/m), eq. 5; also the effective mass of two bodies
     (kg).
     """
     return k1 * k2 / (k1 + k2)

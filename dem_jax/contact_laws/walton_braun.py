@@ -1,7 +1,8 @@
 """Walton-Braun hysteretic linear spring, eqs 1-6 of the paper, the Coulomb-limited tangential
-spring and, if asked, ``rest``.
+spring and, if requested, quasi-static damping.
 
-Where its force has a corner the step misses a part of the impulse, which is added (``corner``).
+Where the force has a kink the step misses a part of the impulse, which is added
+(``impulse_correction``).
 """
 
 from typing import NamedTuple
@@ -28,10 +29,10 @@ from dem_jax.types import PatchMarker, pytree
 Array = jax.Array
 
 LOAD_STEPS = 15  # N_load: steps per quarter period of the loading branch
-UNLOAD_STEPS = 10  # N_unload: of the unloading branch; restitution is then within 0.004 % (error ~
-# 1/(epsilon N)^4)
-LOADING_TOLERANCE = 1 - 2e-6  # of the force of the loading line: less is below it, more is
-# rounding, as of all unloading at e = 1
+UNLOAD_STEPS = 10  # N_unload: steps per quarter period of the unloading branch; restitution is then
+# within 0.004 % (error ~ 1/(epsilon N)^4)
+LOADING_TOLERANCE = 1 - 2e-6  # of the force of the loading line: smaller forces are below it,
+# larger ones differ by rounding, such as during unloading at e = 1
 
 
 class WaltonBraunPair(NamedTuple):
@@ -40,8 +41,8 @@ class WaltonBraunPair(NamedTuple):
     stiffness: Array  # (N/m): K_nl, eq. 5
     restitution: Array  # epsilon of eq. 6
     friction: Array | None  # mu
-    mass: Array | None  # (kg): effective mass, where there is damping
-    size: Array | None = None  # (m): L of the smaller body, where contacts come to rest
+    mass: Array | None  # (kg): effective mass, with damping
+    size: Array | None = None  # (m): L of the smaller body, with quasi-static damping
     patch: PatchMarker | None = None  # of bodies that touch over one
 
     @property
@@ -51,25 +52,26 @@ class WaltonBraunPair(NamedTuple):
 
 
 class WaltonBraunHistory(NamedTuple):
-    """Of contacts, at the last step."""
+    """History of contacts, at the last step."""
 
     force: Array  # [P] (N): F_n
-    way: Array  # [P] (m): approach in it on the loading line; negative on the unloading line, 0 on
-    # that of separation
+    way: Array  # [P] (m): approach in the step on the loading line; negative on the unloading line,
+    # 0 on the separation line
     spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see
     # ``friction``; None without
-    resting: quasi_static_damping.QuasiStaticHistory | None = None  # None: eqs 1-4 alone, at rest
-    # too
+    resting: quasi_static_damping.QuasiStaticHistory | None = None  # None: eqs 1-4 alone, without
+    # quasi-static damping
 
 
 @pytree
 class WaltonBraun:
-    """The law of the paper: it ends where bodies part, and the residual overlap is not remembered."""
+    """The law of the paper: it ends at separation, and the residual overlap is discarded."""
 
     separation: Array  # lambda of eq. 1
     tangential: Array  # K_t / K_nl
     damping: Array | None  # damping ratio of the unloading branch; None: as in the paper
-    at_rest: Array | None = None  # that of contacts at rest, see ``rest``; None: likewise
+    at_rest: Array | None = None  # damping ratio of contacts at rest, see ``quasi_static_damping``;
+    # None: as in the paper
 
     def pair_parameters(self, couple: MaterialPair) -> WaltonBraunPair:
         """K_nl = E L of each body (eqs 7, 8), in series (eq. 5)."""
@@ -80,7 +82,7 @@ class WaltonBraun:
         )
 
     def init_history(self, pair: WaltonBraunPair, like: Array) -> WaltonBraunHistory:
-        """No force."""
+        """History with zero force."""
         zero = jnp.zeros_like(like)
         resting = None if self.at_rest is None else quasi_static_damping.init_rest_history(like)
         return WaltonBraunHistory(
@@ -90,7 +92,7 @@ class WaltonBraun:
     def force(
         self, pair: WaltonBraunPair, history: WaltonBraunHistory, contact: ContactKinematics
     ) -> Response:
-        """Eqs 1-4, and the tangential spring."""
+        """Force of eqs 1-4, and of the tangential spring."""
         c = contact
         turn = impulse_correction.find_reversal(history.way, c.approach, c.resolved)
         rise = pair.stiffness * turn.overlap_excess
@@ -143,7 +145,7 @@ class WaltonBraun:
         )
 
     def energy(self, pair: WaltonBraunPair, history: WaltonBraunHistory, overlap: Array) -> Array:
-        """What is got back along the unloading branch and from the tangential spring (J)."""
+        """Energy (J) recoverable along the unloading branch and from the tangential spring."""
         energy = recoverable_energy(
             history.force, overlap, pair.stiffness, pair.unload_stiffness, self.separation
         )
@@ -158,7 +160,7 @@ class WaltonBraun:
         return None
 
     def critical_steps(self, pair: WaltonBraunPair, mass: Real) -> dict[str, Real]:
-        """By the loading and by the unloading branch (s)."""
+        """Critical steps (s) of the loading and the unloading branch."""
         load = quarter_period(mass, pair.stiffness)
         return {
             f"{LOAD_STEPS} steps per loading quarter period": load / LOAD_STEPS,
@@ -183,16 +185,16 @@ class WaltonBraun:
 def clamp_to_branches(
     line: Array, overlap: Array, load_stiffness: Array, separation: Array
 ) -> Array:
-    """F_n at the current step (N), eq. 1: the unloading line, held between the two others; 0 where
-    separated.
+    """F_n at the current step (N), eq. 1: the unloading line, clipped to the separation and the
+    loading line; 0 where separated.
 
     line: of unloading (N), eq. 3; overlap: s_n now (m), separated where not positive;
     load_stiffness: K_nl (N/m) of eq. 2; separation: lambda.
 
-    Eq. 4 has the change of the overlap in eq. 3; here it is the approach at the contact point.
-    Where bodies do not turn that is the same. Where they do, the overlap is that of the deepest
-    corner, but the force acts at the contact point: only along the way of that point does the
-    unloading line give back what it took, so that no energy comes from nothing.
+    Eq. 3 uses the approach at the contact point instead of the change of overlap (eq. 4). The two
+    agree without rotation. With rotation, the overlap is that of the deepest corner, but the force
+    acts at the contact point: only along the displacement of that point does the unloading line
+    return the energy that it took, so that no energy is created.
     """
     loading = load_stiffness * jnp.maximum(overlap, 0)
     return jnp.minimum(jnp.maximum(line, separation * loading), loading)
@@ -201,10 +203,11 @@ def clamp_to_branches(
 def unloading_line(
     pair: WaltonBraunPair, before: WaltonBraunHistory, contact: ContactKinematics, more: Array
 ) -> Array:
-    """Eq. 3 (N), and where loading ends within this step what the line lies lower by, as it begins
-    further up.
+    """Eq. 3 (N), lowered where loading ends within this step, since the unloading line then begins
+    at a higher overlap.
 
-    more: Turn.off_mean (m); the mean is left out, as kick, drift, kick has it already (``corner``).
+    more: Reversal.off_mean (m); the mean is omitted, as kick, drift, kick already includes it
+    (``impulse_correction``).
     """
     return (
         before.force
@@ -216,8 +219,8 @@ def unloading_line(
 def recoverable_energy(
     force: Array, overlap: Array, load_stiffness: Array, unload_stiffness: Array, separation: Array
 ) -> Array:
-    """Work (J) that a contact with F_n and s_n does if it parts now: down its unloading line to
-    that of separation, and along that one to the end.
+    """Work (J) of a contact with F_n and s_n that separates now: along its unloading line to the
+    separation line, and along that to the end.
     """
     floor = separation * load_stiffness
     # (m): where the lines meet

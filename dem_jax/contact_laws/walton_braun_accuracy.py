@@ -1,6 +1,4 @@
-"""The error of an impact by the Walton-Braun law that a time step makes, as it was measured
-(`run.accuracy`).
-"""
+"""Measured error of a Walton-Braun impact as a function of the time step (`run.accuracy`)."""
 
 from dataclasses import dataclass
 
@@ -9,29 +7,30 @@ Power = tuple[float, float]  # c, p of an error c / n^p
 
 @dataclass(frozen=True)
 class ErrorBound:
-    """Relative errors of one impact with n steps in the loading quarter period of the most
-    eccentric contact.
+    """Bounds of the relative errors of one impact with n steps in the loading quarter period of the
+    most eccentric contact.
 
     restitution, of the speed of rebound: at most c / (epsilon n)^p; peak_force, as reported: at
-    most c / n^p. Envelopes of what was measured in double precision at restitutions of 0.1 to 0.7
-    up to 400 steps: benchmarks/results/accuracy.md. The scheme is of second order, the rebound of
-    fourth where the corners of the force are corrected (``System.resolved``); then the peak is that
-    of the top between two steps, off by (pi / 2 n)^2 / 24, as the scheme's oscillator is. A contact
-    point that goes over from one edge of a polytope to the next makes both less.
+    most c / n^p. These are envelopes of errors measured in double precision at restitutions of 0.1
+    to 0.7 with up to 400 steps: benchmarks/results/accuracy.md. The scheme is of second order; with
+    kink corrections (``System.resolved``) the rebound is of fourth order, and the error of the peak
+    is that of a maximum between two steps, (pi / 2 n)^2 / 24, the same as that of the scheme's
+    oscillator. A contact point that moves from one edge of a polytope to the next reduces both
+    errors.
     """
 
     at_steps: dict[str, Power]  # by quantity
-    corrected: dict[str, Power]  # likewise, where the corners are corrected
-    coarsest: tuple[float, float]  # n and epsilon n from which on it holds
+    corrected: dict[str, Power]  # the same with kink corrections
+    coarsest: tuple[float, float]  # smallest n and epsilon n for which the bound holds
     finest: dict[str, dict[str, float]]  # precision -> quantity -> the smallest error that may be
-    # asked for: less was not measured
+    # requested: smaller ones were not measured
 
     def min_steps(self, restitution: float) -> float:
-        """The least n for which it holds."""
+        """The smallest n for which the bound holds."""
         return max(self.coarsest[0], self.coarsest[1] / restitution)
 
     def error_bounds(self, number: float, restitution: float, corrected: bool) -> dict[str, float]:
-        """quantity -> bound of its relative error with n steps."""
+        """Bound of the relative error with n steps, by quantity."""
         bounds = self.corrected if corrected else self.at_steps
         return {
             key: c / (_step_factor(key, restitution) * number) ** p
@@ -41,8 +40,8 @@ class ErrorBound:
     def required_steps(
         self, asked: dict[str, float], restitution: float, corrected: bool
     ) -> tuple[float, str | None]:
-        """The least n that keeps the errors asked for, by quantity, and which of them sets it
-        (None: it is the coarsest).
+        """The smallest n that satisfies the requested errors, and the quantity that determines it
+        (None: the coarsest step of the bound).
         """
         bounds = self.corrected if corrected else self.at_steps
         needed = lambda key, c, p: (c / asked[key]) ** (1 / p) / _step_factor(key, restitution)
@@ -54,7 +53,9 @@ class ErrorBound:
 
 
 def _step_factor(quantity: str, restitution: float) -> float:
-    """Factor of n in the error of a quantity: a rebound follows the unloading line."""
+    """Factor of n in the error of a quantity; epsilon for the rebound, which follows the unloading
+    line.
+    """
     return restitution if quantity == "restitution" else 1.0
 
 

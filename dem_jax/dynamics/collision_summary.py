@@ -1,5 +1,5 @@
-"""What is read of the collisions with walls: sums for each group, and all there is of them at the
-end.
+"""Summary of the collisions with walls: sums for each group, and all statistics at the end of a
+run.
 """
 
 from typing import Any
@@ -13,7 +13,9 @@ from dem_jax.types import Array, State, System
 
 
 def collision_totals(system: System, state: State) -> Array:
-    """Number, normal impulse (N s) and work taken (J) on what Walls.reports names, [3, reports, R]."""
+    """Number, normal impulse (N s) and work (J) of the collisions with each entry of
+    ``Walls.reports``, [3, reports, R].
+    """
     assert state.collisions is not None
     panels = state.collisions.cells.reshape(3, system.walls.group.shape[0], -1, system.runs).sum(
         axis=2
@@ -24,8 +26,8 @@ def collision_totals(system: System, state: State) -> Array:
 
 
 def dissipated_energy(system: System, state: State) -> Array:
-    """Energy (J) that contacts with what Walls.reports names have dissipated, [reports, R]: what
-    they took but what they would still give back.
+    """Energy (J) dissipated by contacts with each entry of ``Walls.reports``, [reports, R]: the
+    work that they took minus the energy that they would still return.
     """
     number, parts = system.walls.group, system.parts.count
     elastic = jnp.zeros((len(system.walls.groups), system.runs), state.position.dtype)
@@ -45,9 +47,10 @@ def dissipated_energy(system: System, state: State) -> Array:
 
 
 def summarize_collisions(system: System, state: State) -> dict[str, Any]:
-    """All that is known of collisions, as plain numbers for a file: of each run of an ensemble, of
-    places those where there is anything. Energy is work taken; of contacts that have ended it is
-    what they dissipated.
+    """All collision statistics as plain numbers for a file, for each run of an ensemble; map cells
+    only if they are not empty.
+
+    Energy is the work taken, which for ended contacts equals their dissipation.
     """
     now, rule = state.collisions, system.statistics
     assert now is not None and rule is not None

@@ -2,14 +2,14 @@
 
     I f'' = T - clip(k f + c f', -T_max, T_max)
 
-f is the angle of a flap beyond its motion, about the axis of its hinge, T the torque of the pieces
-on it. Left alone it follows its motion exactly: the torque that accelerates it does not count
-towards the limit. Where it would be beyond shut, or beyond open, it meets a stop and rests there. A
-flap that has come to rest on its motion is locked, as by a linkage at its dead centre: pieces that
-land on shut flaps do not open them.
+f is the angle of a flap relative to its prescribed motion, about the axis of its hinge, T the
+torque of the pieces on it. Without pieces it follows its motion exactly: the torque that
+accelerates it does not count towards the limit. A flap that would move beyond shut or beyond open
+meets a stop and rests there. A flap that has come to rest on its motion is locked, as by a linkage
+at its dead centre: pieces that land on shut flaps do not open them.
 
-A step is velocity Verlet, as that of pieces, the damper by the trapezoidal rule as that of a load
-cell.
+A step is velocity Verlet, like that of pieces, with the damper by the trapezoidal rule, like that
+of a load cell.
 """
 
 import jax
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from dem_jax.types import Array, FlapDriveMotion, FlapDrives, State, System
 from dem_jax.walls.motion import Hinge
 
-LOCK_TOLERANCE = 1e-6  # rad: so near to a motion that is at rest a flap is locked
+LOCK_TOLERANCE = 1e-6  # rad: a flap within this angle of a motion at rest is locked
 
 
 def kick(system: System, state: State) -> FlapDriveMotion | None:
@@ -33,7 +33,7 @@ def drift(system: System, state: State) -> FlapDriveMotion | None:
 
 
 def free_response(system: System, state: State, steps: Array) -> FlapDriveMotion | None:
-    """So many steps without pieces, from the state's step on."""
+    """Advance by a number of steps without pieces, from the state's step on."""
     if state.drive is None:
         return None
     none = jnp.zeros_like(state.drive.lag)
@@ -70,7 +70,7 @@ def _kick_flaps(
 def _drift_flaps(
     system: System, now: FlapDriveMotion | None, step: Array
 ) -> FlapDriveMotion | None:
-    """After a step at constant velocity, between the stops; step: at its end."""
+    """A step at constant velocity, limited by the stops; step: number of the step at its end."""
     drive = system.walls.drive
     if drive is None or now is None:
         return None

@@ -12,8 +12,8 @@ from dem_jax.types import Array, State, System
 
 
 def kick(system: System, state: State) -> State:
-    """Half a step of acceleration: velocity and angular momentum by force and torque, to dt / 2
-    later.
+    """Half a step of acceleration: advance velocity and angular momentum by force and torque by dt
+    / 2.
     """
     half, now = 0.5 * system.dt, state.motion
     acceleration = now.force / system.pieces.mass[None] + _gravity_acceleration(system, state)
@@ -98,18 +98,19 @@ def _rotate_pieces(
 
 
 def _gravity_acceleration(system: System, state: State) -> Array:
-    """[3, 1] or [3, N] (m/s2): none on pieces that are outside."""
+    """Acceleration by gravity, [3, 1] or [3, N] (m/s2); zero for pieces outside the scene."""
     gravity, present = system.gravity[:, None], find_present(system, state)
     return gravity if present is None else jnp.where(present, gravity, 0)
 
 
 def _compensated_add(value: Array, rest: Array, change: Array) -> tuple[Array, Array]:
-    """value + rest + change, and the rounding residual (compensated summation; not needed in double
+    """value + rest + change, and its rounding residual (compensated summation; not needed in double
     precision).
 
-    In single precision a step near rest is smaller than the spacing of numbers at 0.1 m, and the
-    change of velocity by gravity in half a step is only 120 spacings at 2 m/s, rounded the same way
-    each time. A stiff piece that turns at 1 rad/s changes its quaternion by about 20 spacings.
+    In single precision the displacement in a step near rest is smaller than the spacing of numbers
+    at 0.1 m, and the change of velocity by gravity in half a step is only 120 spacings at 2 m/s,
+    rounded the same way each time. A stiff piece that rotates at 1 rad/s changes its quaternion by
+    about 20 spacings.
     """
     if value.dtype == jnp.float64:
         return value + change, rest

@@ -1,12 +1,11 @@
-"""Runs of an ensemble side by side as one system whose runs do not see each other: on a CPU, where
-pieces are few.
+"""Runs of an ensemble interleaved as one system of independent runs, for few pieces on a CPU.
 
-A single step of nine pieces computes all of its 32 slots, however few are filled, in hundreds of
-loops over 32 numbers. Side by side only the blocks that all runs together fill are computed.
-Against a thread for each run that takes 0.5 times as long for a whole stock drop of nine pieces;
-for the first 0.15 s of a drop 0.26 times, of 30 pieces 0.57, of 61 0.63, of 318 1.2. Each run has
-the pairs, slots and samples of a single run, up to round-off, and the same bits at any position in
-any batch.
+A single step of nine pieces computes all of its 32 slots, even if few are filled, in hundreds of
+loops over 32 numbers. Interleaved, only the tiles that all runs together fill are computed.
+Compared with a thread for each run, a whole stock drop of nine pieces takes 0.5 times as long; the
+first 0.15 s of a drop takes 0.26 times as long, with 30 pieces 0.57, with 61 0.63, with 318 1.2.
+Each run has the pairs, slots and samples of a single run, up to round-off, and the same bits at any
+position in any batch.
 """
 
 import jax
@@ -18,23 +17,24 @@ from dem_jax.dynamics import stepping
 from dem_jax.math.compaction import EMPTY, group_by_owner
 from dem_jax.types import Array, ContactTable, OverflowReport, State, System
 
-MOST_PIECES = 64  # of a run, for which it pays
-RUNS_AT_ONCE = 16  # runs: more gain little and leave cores without work; always as many, as each
-# number is a program of its own
-SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as long, 16 1.1 times
+MOST_PIECES = 64  # of a run, up to which a batch is faster
+RUNS_AT_ONCE = 16  # runs: more gain little and leave cores idle; always the same number, as each
+# number needs its own program
+SLOT_BLOCK = 32  # slots computed at a time: with nine pieces 64 take 1.2 times as long, 16 1.1
+# times
 
 
 def is_batch_worthwhile(system: System, runs: int) -> bool:
-    """True if a number of runs of a system is faster as a batch: with few pieces, all pairs of
-    which are tested, no seams, no load cell, no drive of limited torque, no statistics of
-    collisions and no pieces that come and go.
+    """Whether a number of runs of a system is faster as a batch: with few pieces in an all-pairs
+    search, and without seams, load cell, drive of limited torque, collision statistics and pieces
+    that enter or leave.
     """
     kinds = (system.parts.polytopes.shape[0], system.parts.spheres.shape[0])
     is_listed = any(
         candidate_search.choose_search(system.neighbours, count) != "all-pairs" for count in kinds
     )
     is_small = sum(kinds) <= MOST_PIECES and runs >= RUNS_AT_ONCE
-    # a cell sets the walls of each run apart
+    # a load cell moves the walls of each run differently
     is_plain = not contact_reduction.has_shared_surfaces(system) and system.walls.load_cell is None
     is_plain = is_plain and system.walls.drive is None and system.statistics is None
     is_plain = is_plain and not system.exchanges and system.present is None
@@ -50,7 +50,7 @@ def run_chunk(
     frames: int,
     phase: stepping.IntLike = 0,
 ) -> stepping.ChunkOutput:
-    """``stepping.run_chunk`` of states with a leading run axis, which all that it returns has too."""
+    """``stepping.run_chunk`` for states with a leading run axis, which all results have too."""
     runs = states.step.shape[0]
     one = make_batch_system(system, runs)
     state, recorded, poses = stepping.run_batched_chunk(
@@ -86,7 +86,9 @@ def make_batch_system(system: System, runs: int) -> System:
 
 
 def interleave_states(one: System, states: State) -> State:
-    """The state of a batch of runs, ``make_batch_system``; arrays that a rebuild fills are empty."""
+    """The state of a batch of runs, see ``make_batch_system``; arrays that a rebuild fills are
+    empty.
+    """
     parts = one.parts.count // one.runs
     beside = lambda x: jnp.moveaxis(x, 0, -1).reshape(*x.shape[1:-1], -1)
     run = jnp.arange(one.runs, dtype=jnp.int32)[:, None]
@@ -113,8 +115,8 @@ def interleave_states(one: System, states: State) -> State:
 
 
 def split_states(system: System, states: State, state: State) -> State:
-    """The states of the runs of a batch, like ``states`` of the same runs before, with their arrays
-    that a rebuild fills.
+    """The states of the runs of a batch, with the structure of ``states``, earlier states of the
+    same runs, including the arrays that a rebuild fills.
     """
     runs, parts = states.step.shape[0], system.parts.count
     apart = lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], -1, runs), -1, 0)
@@ -142,7 +144,7 @@ def split_states(system: System, states: State, state: State) -> State:
 
 def _split_table(table: ContactTable, runs: int, parts: int, slots: int) -> ContactTable:
     """The contacts of each run, in order, [runs, .., slots]; contacts beyond the capacity are
-    dropped and noted in the guard.
+    dropped and recorded in the overflow report.
     """
     order, first = group_by_owner(jnp.where(table.b >= 0, table.b % runs, runs), runs)
     rank = jnp.arange(slots, dtype=jnp.int32)[None]
@@ -158,8 +160,8 @@ def _split_table(table: ContactTable, runs: int, parts: int, slots: int) -> Cont
 
 
 def _split_reports(before: OverflowReport, after: OverflowReport, parts: int) -> OverflowReport:
-    """The guards of the runs: the batch's notes hold for each run, except the initial overlap,
-    which belongs to one.
+    """Overflow reports of the runs: entries of the batch apply to each run, except the initial
+    overlap, which belongs to one.
     """
     runs = before.travel.shape[0]
     each = jax.tree.map(lambda x: jnp.broadcast_to(x, (runs, *x.shape)), after)
@@ -175,5 +177,5 @@ def _split_reports(before: OverflowReport, after: OverflowReport, parts: int) ->
 
 
 def _number_in_run(body: Array, runs: int, parts: int) -> Array:
-    """The number that a body of all runs has in its own."""
+    """Number within its own run of a body of the batch."""
     return jnp.where(body < runs * parts, body // runs, body - (runs - 1) * parts)

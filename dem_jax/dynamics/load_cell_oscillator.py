@@ -2,10 +2,10 @@
 
     m x'' + c x' + k x = F
 
-x is the deflection, downwards from where the cell is without pieces (its tare), F the force of the
-pieces on the groups that it carries. A step is velocity Verlet, as that of pieces; the damper is in
-the kick, by the trapezoidal rule, so that a kick of half a step is the same forwards and backwards
-in time and a step of second order. Stable while dt sqrt(k / m) < 2, whatever the damper.
+x is the deflection, downwards from the rest position without pieces (its tare), F the force of the
+pieces on the groups that it carries. A step is velocity Verlet, like that of pieces. The damper
+acts in the kick, by the trapezoidal rule, so that half a kick is symmetric in time and a step is of
+second order. Stable while dt sqrt(k / m) < 2, for any damper.
 
 The inertia forces of flaps that swing on the bucket are neglected: those of opposite flaps cancel.
 """
@@ -35,7 +35,7 @@ def drift(system: System, state: State) -> LoadCellMotion | None:
 
 
 def free_response(system: System, state: State, steps: Array) -> LoadCellMotion | None:
-    """So many steps without pieces."""
+    """Advance by a number of steps without pieces."""
     if state.cell is None:
         return None
     none = jnp.zeros_like(state.cell.deflection)
@@ -53,8 +53,8 @@ def cell_load(system: System, state: State) -> Array:
 
 
 def cell_readings(system: System, state: State) -> Array:
-    """The values of READINGS, [4, R]: the signal is the force of spring and damper, k x + c x', the
-    weight that over gravity.
+    """The values of READINGS, [4, R]: the signal is the force of spring and damper, k x + c x', and
+    the weight is the signal over gravity.
     """
     cell, now = system.walls.load_cell, state.cell
     assert cell is not None and now is not None

@@ -1,4 +1,4 @@
-"""What is read from a state: energies, momentum, settled mass, and whether anything has gone wrong."""
+"""Observables of a state: energies, momentum, settled mass, and detection of invalid states."""
 
 import jax.numpy as jnp
 
@@ -24,7 +24,9 @@ def sample_interval(system: System) -> Array:
 
 
 def settled_mass(system: System, state: State) -> Array:
-    """Mass of the pieces whose centre is inside a block and that are slower than 0.1 m/s, [B] (kg)."""
+    """Mass of the pieces whose centre is inside a block and that are slower than 0.1 m/s, [B]
+    (kg).
+    """
     x = state.position[:, None, :]
     low, high = system.block_low[:, :, None], system.block_high[:, :, None]
     inside = jnp.all((x >= low) & (x <= high), axis=0)
@@ -33,14 +35,16 @@ def settled_mass(system: System, state: State) -> Array:
 
 
 def max_relative_displacement(system: System, state: State) -> Array:
-    """How far the fastest piece in the domain moves in a step, relative to the smallest width of
-    all, [R].
+    """Largest displacement of a piece in the domain in one step, relative to the smallest width of
+    all pieces, [R].
     """
     return max_speed(system, state) * system.dt / jnp.min(system.pieces.width)
 
 
 def max_speed(system: System, state: State) -> Array:
-    """Speed of the fastest piece (m/s), [R], of those in the domain where the others stop no run."""
+    """Largest speed of a piece (m/s), [R]; only of pieces in the domain if leaving it does not stop
+    the run.
+    """
     speed = vector.norm(tuple(state.velocity))
     return batch_reduction.max_per_run(
         system, speed if system.escape_stops else jnp.where(is_in_domain(system, state), speed, 0)
@@ -50,9 +54,9 @@ def max_speed(system: System, state: State) -> Array:
 def energy_terms(system: System, state: State) -> Array:
     """kinetic, potential, elastic, dissipated, wall_work, total, [6, R] (J); total stays constant.
 
-    Elastic is what contacts give back along their unloading branch, F^2 / 2 K_nu, and the
-    tangential springs; total = kinetic + potential + elastic + dissipated - wall_work, less what
-    pieces that came in had more than those taken out.
+    Elastic is the energy that contacts return along their unloading branch, F^2 / 2 K_nu, and that
+    of the tangential springs; total = kinetic + potential + elastic + dissipated - wall_work, minus
+    the energy of pieces that entered, plus that of pieces that were removed.
     """
     kinetic = kinetic_energy(system, state)
     height = -jnp.sum(system.gravity[:, None] * state.position, axis=0)
@@ -67,14 +71,14 @@ def energy_terms(system: System, state: State) -> Array:
 
 
 def present_mass(system: System, state: State) -> Array:
-    """Mass of each piece, [N] (kg), 0 of those that are outside."""
+    """Mass of each piece, [N] (kg), 0 outside the scene."""
     present = find_present(system, state)
     return system.pieces.mass if present is None else jnp.where(present, system.pieces.mass, 0)
 
 
 def piece_mass(system: System, state: State) -> Array:
-    """Mass of the pieces in the scene, and of those that came in and were taken out since the first
-    step, [3, R] (kg).
+    """Mass of the pieces in the scene, and of those that have entered and been removed since the
+    first step, [3, R] (kg).
     """
     assert state.exchange is not None
     return jnp.concatenate(
@@ -86,7 +90,9 @@ def piece_mass(system: System, state: State) -> Array:
 
 
 def piece_count(system: System, state: State) -> Array:
-    """Their numbers likewise, [3, R] int32."""
+    """Number of the pieces in the scene, and of those that have entered and been removed, [3, R]
+    int32.
+    """
     assert state.exchange is not None
     inside = batch_reduction.sum_per_run(system, state.exchange.there.astype(jnp.int32))
     return jnp.concatenate([inside[None].astype(jnp.int32), state.exchange.count])
@@ -117,8 +123,8 @@ def elastic_energy(system: System, state: State) -> Array:
 
 
 def first_invalid_body(system: System, state: State) -> Array:
-    """The first piece whose state is not finite, or whose centre has left the domain where that
-    counts; -1: none.
+    """The first piece whose state is not finite or, if leaving the domain stops the run, whose
+    centre has left it; -1: none.
     """
     motion = jnp.concatenate(
         [state.position, state.velocity, state.angular_momentum, state.orientation]
@@ -130,7 +136,7 @@ def first_invalid_body(system: System, state: State) -> Array:
 
 
 def is_in_domain(system: System, state: State) -> Array:
-    """Whether the centre of each piece is inside the domain, [N] bool; so are those that are not in
+    """Whether the centre of each piece is inside the domain, [N] bool; also true for pieces outside
     the scene.
     """
     x = state.position
@@ -140,8 +146,8 @@ def is_in_domain(system: System, state: State) -> Array:
 
 
 def record_frame(system: System, state: State) -> Array:
-    """Position, orientation, velocity and angular velocity of every piece, [13, N]; no position of
-    those that are outside.
+    """Position, orientation, velocity and angular velocity of every piece, [13, N]; the position is
+    nan for pieces outside the scene.
     """
     omega = jnp.zeros_like(state.velocity)
     if system.has_rotation:

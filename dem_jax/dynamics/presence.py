@@ -1,5 +1,5 @@
-"""Which pieces are in the scene: all, those that an inlet has brought in, or those of a run that
-has fewer than others.
+"""Presence of pieces in the scene: all, those that an inlet has released, or those of a run with
+fewer pieces than others.
 """
 
 from collections.abc import Sequence
@@ -10,14 +10,14 @@ from dem_jax.types import Array, State, System
 
 
 def find_present(system: System, state: State) -> Array | None:
-    """Which pieces are in the scene, [N] bool; None: all. The others are outside of it, at rest and
+    """Flags of the pieces in the scene, [N] bool; None: all. The others are outside, at rest and
     without weight.
     """
     return system.present if state.exchange is None else state.exchange.there
 
 
 def find_present_per_run(systems: Sequence[System], state: State) -> np.ndarray | None:
-    """Which pieces are in the scene, [K, N] bool, of a state of K runs, or of a single one; None:
+    """Flags of the pieces in the scene, [K, N] bool, for a state of K runs or a single one; None:
     all. systems: of each run.
     """
     if state.exchange is not None:

@@ -1,10 +1,11 @@
-"""Quantities, declared once with all information for sampling, writing, reading and listing them.
+"""Quantities, each declared once with all information for sampling, writing, reading and listing
+it.
 
-An axis whose rows have names (wall groups, blocks, kinds of energy) comes first and makes a dataset
-of each row, ``/force/plate``; all other axes are axes of the dataset, after time. The function of a
-quantity returns them in the order of the arrays of a State, the last one first, and then the runs
-that are side by side (contacts.batch_reduction): of ``axes=("group", "xyz")`` [3, G, R], of
-``axes=()`` [R], and R is mostly 1.
+An axis with named rows (wall groups, blocks, kinds of energy) comes first and makes a dataset of
+each row, ``/force/plate``; all other axes are axes of the dataset, after time. The function of a
+quantity returns its axes in the order of the arrays of a State, the last one first, followed by the
+runs of the system (``contacts.batch_reduction``): [3, G, R] for ``axes=("group", "xyz")``, [R] for
+``axes=()``, where R is mostly 1.
 """
 
 from collections.abc import Callable, Iterable
@@ -17,8 +18,8 @@ import numpy as np
 from dem_jax.types import Array, State, System
 from dem_jax.walls import motion
 
-Rows = tuple[tuple[str, int | tuple[int, ...]], ...]  # name, and its place on the axis, or places
-# that are added up
+Rows = tuple[tuple[str, int | tuple[int, ...]], ...]  # name, and its index on the axis, or indices
+# that are summed
 
 # Names that differ between files and runs.
 RESERVED = frozenset(
@@ -31,9 +32,9 @@ RESERVED = frozenset(
 class Axis:
     """An axis of a quantity.
 
-    name: in declarations. size: how long it is in a system. rows: of an axis whose rows have names,
-    those that are kept of a system, each with its place on the axis, or with several that are added
-    up; else None. symbol: for the names of rows in a path.
+    name: in declarations. size: its length in a system. rows: for an axis with named rows, the
+    stored rows of a system, each with its index on the axis, or with several indices that are
+    summed; else None. symbol: for the names of rows in a path.
     """
 
     name: str
@@ -44,7 +45,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class FixedRows:
-    """Rows of an axis that were found once, for systems whose arrays are traced."""
+    """Rows of an axis that were determined once, for systems whose arrays are traced."""
 
     rows: Rows
 
@@ -84,12 +85,12 @@ AXES = {
 class Quantity:
     """A quantity that is sampled at the end of each sample interval.
 
-    name: of the dataset or group in a file and of the attribute of a run. unit: SI; of rows whose
-    units differ one for each, in their order, with ", " between. axes: names of ``AXES``, or an
-    Axis of one's own; of a report of several wall groups the sum is kept. of: function (system,
-    state) -> array, in the order that the module's text says. help: one line, what it is. kept:
-    whether it is written; else only the driver reads it. A real one must be finite at all times:
-    else the run stops. Raises ValueError for a declaration that lacks something.
+    name: of the dataset or group in a file and of the attribute of a run. unit: SI; if the units of
+    rows differ, one for each in their order, separated by ", ". axes: names of ``AXES``, or an
+    Axis; for a report of several wall groups the sum is kept. of: function (system, state) ->
+    array, in the order described in the module's docstring. help: one line of description. kept:
+    whether it is written; else only the driver reads it. A real quantity must be finite at all
+    times; otherwise the run stops. Raises ValueError for an invalid declaration.
     """
 
     name: str
@@ -135,17 +136,17 @@ class Quantity:
 
     @property
     def resolved_axes(self) -> tuple[Axis, ...]:
-        """Its axes."""
+        """The axes as Axis objects."""
         return tuple(axis if isinstance(axis, Axis) else AXES[axis] for axis in self.axes)
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Of its axes."""
+        """Names of the axes."""
         return tuple(axis.name for axis in self.resolved_axes)
 
     @property
     def path(self) -> str:
-        """In a file."""
+        """Path in a file."""
         first = self.resolved_axes[0] if self.axes else None
         return (
             f"/{self.name}/{first.symbol or first.name.upper()}"
@@ -154,8 +155,8 @@ class Quantity:
         )
 
     def named_rows(self, system: System) -> Rows | None:
-        """The rows that have a dataset each; None: there is one dataset. Raises ValueError for
-        names that cannot be.
+        """The rows that have a dataset each; None for a single dataset. Raises ValueError for
+        invalid names.
         """
         if not self.axes or self.resolved_axes[0].rows is None:
             return None
@@ -168,7 +169,7 @@ class Quantity:
         return rows
 
     def evaluate(self, system: System, state: State) -> Array:
-        """Its value now. Raises ValueError if the function's value does not fit the axes."""
+        """The current value. Raises ValueError if the function's value does not fit the axes."""
         try:
             value = jnp.asarray(self.of(system, state))
         except Exception as error:
@@ -187,8 +188,8 @@ class Quantity:
         return value
 
     def to_datasets(self, system: System, values: Any) -> Any:
-        """What a file holds of values [.., T, axes as ``of`` returns them]: name -> array, or one
-        array; time, then axes. Of numpy's arrays or JAX's.
+        """Datasets of values [.., T, axes as ``of`` returns them]: name -> array, or one array;
+        time first, then the axes. For arrays of numpy or JAX.
         """
         rows = self.named_rows(system)
         order = len(self.axes) - (rows is not None)
@@ -201,7 +202,7 @@ class Quantity:
 
 
 def with_fixed_rows(quantity: Quantity, system: System) -> Quantity:
-    """The quantity with the rows that its axes have in a system."""
+    """The quantity with the rows of its axes in a given system."""
     axes = tuple(
         replace(axis, rows=FixedRows(axis.rows(system))) if axis.rows else axis
         for axis in quantity.resolved_axes
@@ -210,7 +211,7 @@ def with_fixed_rows(quantity: Quantity, system: System) -> Quantity:
 
 
 def validate_quantities(quantities: Iterable[Quantity]) -> tuple[Quantity, ...]:
-    """The quantities, no two of one name. Raises ValueError."""
+    """The quantities, with distinct names. Raises ValueError."""
     quantities = tuple(quantities)
     seen: set[str] = set()
     for quantity in quantities:
@@ -238,7 +239,7 @@ def format_quantity_table(quantities: Iterable[Quantity]) -> str:
 
 
 def _take_row(values: Any, place: int | tuple[int, ...]) -> Any:
-    """A row of the last axis, or the sum of some."""
+    """A row of the last axis, or the sum of several."""
     return (
         values[..., place]
         if isinstance(place, int)

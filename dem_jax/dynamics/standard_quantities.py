@@ -1,5 +1,5 @@
-"""All that is sampled: one entry each. It is then in every sample, file and run, and in ``python -m
-dem_jax run --help``.
+"""All sampled quantities, one entry each. An entry appears in every sample, file and run, and in
+``python -m dem_jax run --help``.
 """
 
 import jax.numpy as jnp
@@ -12,8 +12,8 @@ from dem_jax.types import Array, State, System, Walls
 
 
 def _energy_rows(system: System) -> Rows:
-    """Dissipation and the work of walls, and with them the total, are known only where they are
-    added up.
+    """Rows of the energies. Dissipation, the work of walls and the total are available only if the
+    ledger is kept.
     """
     known = observables.ENERGIES if system.ledger else observables.ENERGIES[:3]
     return tuple(zip(known, range(len(known)), strict=True))
@@ -75,12 +75,12 @@ COLLISIONS = ("collisions", "collision_impulse", "collision_energy")
 
 
 def _count_contacts(system: System, state: State) -> Array:
-    """Number of contacts with the panels of each wall group, and last of those between pieces, [G +
+    """Number of contacts with the panels of each wall group and, as last row, between pieces, [G +
     1, R] int32.
     """
     parts, groups = system.parts.count, len(system.walls.groups)
-    partner_of = jnp.pad(system.walls.group, (0, 1), constant_values=groups)  # of panels, and last
-    # of pieces
+    partner_of = jnp.pad(system.walls.group, (0, 1), constant_values=groups)  # of panels, and as
+    # last entry of pieces
     found = jnp.zeros((groups + 1, system.runs), jnp.int32)
     for table in state.contacts.values():
         partner = partner_of[jnp.where(table.a >= parts, table.a - parts, -1)]
@@ -198,9 +198,8 @@ QUANTITIES = validate_quantities(
 
 
 def select_quantities(walls: Walls, statistics: bool, exchanges: bool) -> tuple[Quantity, ...]:
-    """The quantities of a system with these walls: without a load cell or a drive nothing of one is
-    sampled, nor of collisions without statistics, nor of pieces that come and go without an inlet
-    or outlet.
+    """The quantities of a system: load cell, drive, collision and exchange quantities only if the
+    system has them.
     """
     absent = set() if statistics else set(COLLISIONS)
     absences = (

@@ -1,4 +1,4 @@
-"""One time step, read top to bottom as the physics, and the loops around it."""
+"""One time step, to be read top to bottom as the physics, and the loops around it."""
 
 import dataclasses
 from collections.abc import Callable
@@ -18,20 +18,20 @@ from dem_jax.narrow_phase.contact_geometry import has_feature_cache
 from dem_jax.types import Array, Sample, State, System
 from dem_jax.walls import kinematics
 
-IntLike = int | Array  # a number that the compiled program has in it, or takes
+IntLike = int | Array  # a constant of the compiled program, or an input
 ChunkOutput = tuple[State, Sample, Array]  # the last state, the samples, the frames
 
 
 class ChunkProgress(NamedTuple):
-    """How far a chunk has come, int32."""
+    """Progress of a chunk, int32."""
 
-    sample: Array  # samples that are whole
-    part: Array  # parts of the next that are whole
+    sample: Array  # complete samples
+    part: Array  # complete parts of the next sample
     step: Array  # steps of the next part
 
 
 class LoopCarry(NamedTuple):
-    """What the loops of a chunk carry."""
+    """Carry of the loops of a chunk."""
 
     state: State
     recorded: Sample  # [samples, .., R]
@@ -40,10 +40,10 @@ class LoopCarry(NamedTuple):
 
 
 def step(system: System, state: State) -> tuple[State, Sample]:
-    """One time step of a single run, with a rebuild of the candidate pairs before it when one is
-    due, and a sample after it.
+    """Advance a single run by one time step, rebuilding the neighbour list before it if due;
+    returns the state and the sample after it.
 
-    Whether one is due follows from the number of the step alone.
+    Whether a rebuild is due follows from the number of the step alone.
     """
     interval = system.substeps * system.sample_parts
     state = _start_interval(state, state.step % interval == 0)
@@ -55,13 +55,13 @@ def step(system: System, state: State) -> tuple[State, Sample]:
 
 
 def drop_run_axis(sample: Sample) -> Sample:
-    """Samples without their run axis, of length one."""
+    """The sample without its run axis of length one."""
     return jax.tree.map(lambda x: x[..., 0], sample)
 
 
 def advance_step(system: System, state: State, panels: kinematics.WallState | None = None) -> State:
-    """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that
-    is known already.
+    """One time step: kick, drift, walls, contacts, kick. panels: wall state after the step, if
+    already known.
     """
     state, omega, panels = _advance_kinematics(system, state, panels)
     stacked = packed_bodies.pack_bodies(system, state, omega, panels)
@@ -73,8 +73,8 @@ def advance_step(system: System, state: State, panels: kinematics.WallState | No
 def _advance_kinematics(
     system: System, state: State, panels: kinematics.WallState | None
 ) -> tuple[State, Array, kinematics.WallState]:
-    """The first half of ``advance_step``: the state with the pieces where they are after the step,
-    their angular velocity in it, and the walls.
+    """First half of ``advance_step``: the state with the pieces moved by the step, their angular
+    velocity in it, and the walls.
     """
     state = integrator.kick(system, state)
     state, omega = integrator.drift(system, state)
@@ -86,8 +86,8 @@ def _advance_kinematics(
 def _apply_contacts(
     system: System, state: State, omega: Array, panels: kinematics.WallState, stacked: Array
 ) -> State:
-    """The second half of ``advance_step``, of what ``_advance_kinematics`` returns; stacked:
-    bodies.stack of it.
+    """Second half of ``advance_step``, from the results of ``_advance_kinematics``; stacked: the
+    packed bodies (``packed_bodies.pack_bodies``).
     """
     state = neighbour_list.accumulate_displacement(system, state, omega, panels)
     state = forces.compute_contact_forces(system, state, omega, panels, stacked)
@@ -97,7 +97,7 @@ def _apply_contacts(
 def run_compiled_chunk(
     system: System, state: State, count: IntLike, frame_every: IntLike, samples: int, frames: int
 ) -> ChunkOutput:
-    """``run_chunk``, compiled: the form for long runs."""
+    """``run_chunk``, compiled, for long runs."""
     return _compile_chunk(jax.default_backend())(
         system, state, count, frame_every, samples=samples, frames=frames
     )
@@ -120,7 +120,7 @@ def run_chunk(
     frames: int,
     phase: IntLike = 0,
 ) -> ChunkOutput:
-    """``run_batched_chunk`` of a single run, its samples without a run axis."""
+    """``run_batched_chunk`` for a single run; its samples have no run axis."""
     state, recorded, poses = run_batched_chunk(
         system, state, count, frame_every, samples, frames, phase
     )
@@ -136,13 +136,13 @@ def run_batched_chunk(
     frames: int,
     phase: IntLike = 0,
 ) -> ChunkOutput:
-    """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each
+    """Run ``count`` samples (at most ``samples``) and store them, and a frame after each
     ``frame_every`` samples.
 
-    phase: samples since the last frame, below ``frame_every``. Everything but the two capacities
-    may change without compiling again. Returns the state, the samples [samples, .., R] and the
-    frames [frames, 13, N] (position, orientation, velocity, angular velocity), of which the first
-    (count + phase) // frame_every are filled.
+    phase: samples since the last frame, below ``frame_every``. Everything except the two capacities
+    may change without recompilation. Returns the state, the samples [samples, .., R] and the frames
+    [frames, 13, N] (position, orientation, velocity, angular velocity), of which the first (count +
+    phase) // frame_every are filled.
     """
     recorded = jax.tree.map(
         lambda x: jnp.zeros((samples, *x.shape), x.dtype),
@@ -190,11 +190,11 @@ def rollout(
     """Run a given number of samples of ``substeps`` steps, differentiable in reverse mode with
     respect to every array.
 
-    Of a single run. Reverse mode keeps the state after each step, and computes the step anew: to
-    keep what a step computes takes ten times the memory, and of a box three times as long to
-    compile. checkpoint: it keeps the state at each rebuild only, and computes the steps between
-    anew as well. Returns the last state and the samples, each field with a leading axis [samples].
-    Use ``run_compiled_chunk`` for long runs.
+    For a single run. Reverse mode stores the state after each step and recomputes the step: storing
+    the intermediate values takes ten times the memory, and for a box three times as long to
+    compile. checkpoint: store the state only at each rebuild, and recompute the steps between.
+    Returns the last state and the samples, each field with a leading axis [samples]. Use
+    ``run_compiled_chunk`` for long runs.
     """
     parts = system.sample_parts
     block = max(1, system.block_steps // substeps) if parts == 1 else 1
@@ -204,7 +204,7 @@ def rollout(
     step = jax.checkpoint(partial(_advance_one_step, system))
 
     def run_steps(state: State, first: Array) -> tuple[State, Sample]:
-        # Anew: of walls that move reverse mode would keep as much as of states, one for each step.
+        # Recomputed here: reverse mode would otherwise store the wall states of each step.
         walls = kinematics.precompute_wall_states(system, state.step, system.block_steps)
 
         def run_interval(state: State, number: Array) -> tuple[State, Sample]:
@@ -232,7 +232,7 @@ def rollout(
 
 
 def _rebuild_neighbours(system: System, state: State) -> tuple[State, kinematics.WallSchedule]:
-    """Find the candidate pairs anew, and where the walls will be after each step until the next
+    """Rebuild the neighbour list, and compute the wall states after each step until the next
     rebuild.
     """
     walls = kinematics.precompute_wall_states(system, state.step, system.block_steps)
@@ -259,8 +259,8 @@ def _run_parts(
     end: Array,
     record: Callable[[LoopCarry], LoopCarry],
 ) -> LoopCarry:
-    """Go on until so many parts of samples are whole, or a rebuild is due; record: what is done
-    with a sample that is.
+    """Run until a number of parts of samples are complete, or a rebuild is due; record: handles a
+    complete sample.
     """
     goes_on = lambda going: (
         (_count_parts(system, going.at) < end) & ~_needs_rebuild(system, going.state)
@@ -269,9 +269,9 @@ def _run_parts(
     if not has_feature_cache(system):
         return jax.lax.while_loop(goes_on, part, going)
 
-    # A look is compiled as a function of its own, between loops and not inside: in one function
-    # with the steps it would take twice as long to compile. (XLA makes no function of the outer
-    # loop, as it sorts.)
+    # The refresh is compiled as a separate function, between loops and not inside: in one function
+    # with the steps it would take twice as long to compile. (XLA does not make the outer loop a
+    # function, as it sorts.)
     def run_until_refresh(going: LoopCarry) -> LoopCarry:
         scratch = going.state.scratch
         assert scratch.pending_bodies is not None
@@ -293,9 +293,7 @@ def _run_part(
     going: LoopCarry,
     record: Callable[[LoopCarry], LoopCarry],
 ) -> LoopCarry:
-    """A part of a sample interval; of polytopes whose near features are kept only until a look is
-    due.
-    """
+    """Run a part of a sample interval; with a feature cache only until a refresh is due."""
     at, substeps = going.at, system.substeps
     state = _start_interval(going.state, (at.part == 0) & (at.step == 0))
     state, steps = _advance_steps(system, substeps, state, walls, at.step)
@@ -317,9 +315,9 @@ def _run_part(
 def _advance_steps(
     system: System, substeps: Array, state: State, walls: kinematics.WallSchedule, done: Array
 ) -> tuple[State, Array]:
-    """From step ``done`` to step ``substeps`` of a part; without looking at contacts, and in one
-    jump, where nothing is near anything. Returns the step that was reached: an earlier one where a
-    look is due.
+    """Advance from step ``done`` to step ``substeps`` of a part; in one ballistic step, without
+    contacts, if no bodies are near each other. Returns the state and the step reached, an earlier
+    one if a refresh is due.
     """
     # [R]: whether a run has any contact
     near = batch_reduction.any_per_run(
@@ -338,7 +336,7 @@ def _advance_steps(
     step = lambda s: jax.lax.fori_loop(
         0, substeps, lambda _, s: _advance_one_step(system, s, walls), s
     )
-    if not system.slot_block:  # as where reverse mode is to go through it
+    if not system.slot_block:  # such as for reverse-mode differentiation
         return step(state), substeps
     return batch_reduction.branch_per_run(
         system, near, step, lambda s: _advance_ballistically(system, s, walls, substeps), state
@@ -348,7 +346,7 @@ def _advance_steps(
 def _advance_ballistically(
     system: System, state: State, walls: kinematics.WallSchedule, steps: Array
 ) -> State:
-    """So many steps at once, of pieces that nothing is near."""
+    """Advance by several steps at once, for pieces without near bodies."""
     after = integrator.ballistic_step(system, state, steps)
     panels = kinematics.apply_compliance(
         system,
@@ -365,15 +363,15 @@ def _advance_one_step(system: System, state: State, walls: kinematics.WallSchedu
 def _advance_until_refresh(
     system: System, substeps: Array, state: State, walls: kinematics.WallSchedule, done: Array
 ) -> tuple[State, Array]:
-    """Steps until ``substeps`` are done, or until a look is due."""
+    """Advance until ``substeps`` steps are done, or a refresh is due."""
 
     def advance_if_valid(carry: tuple[State, Array]) -> tuple[State, Array]:
         before, done = carry
         moved, omega, panels = _advance_kinematics(
             system, before, _next_wall_state(system, before, walls)
         )
-        # What the first half of a step changes: where a look is due it is taken back, and done
-        # again after it.
+        # The fields that the first half of a step changes: if a refresh is due, this half is undone
+        # and repeated after the refresh.
         touched = [
             f.name
             for f in dataclasses.fields(before)
@@ -402,15 +400,16 @@ def _advance_until_refresh(
 def _next_wall_state(
     system: System, state: State, walls: kinematics.WallSchedule
 ) -> kinematics.WallState:
-    """Where the panels are after the step ahead."""
+    """The panels after the next step."""
     return kinematics.look_up_wall_state(system, walls, state.step - state.scratch.rebuild_step + 1)
 
 
 def _needs_rebuild(system: System, state: State) -> Array:
-    """Whether bodies, thrown by a collision, may come nearer than was expected before the next
-    sample ends, [] bool: a rebuild is due. Not of runs side by side: they share rebuilds, and none
-    is to depend on its company; they have those of the block, and more room where that is not
-    enough.
+    """Whether a rebuild is due, [] bool: bodies may approach each other, after a collision, by more
+    than expected before the next sample ends.
+
+    Always false for batched runs: they share rebuilds, which must not depend on the other runs.
+    They have the rebuilds of the block, and larger capacities if these do not suffice.
     """
     if system.runs > 1 or not system.slot_block:
         return jnp.zeros((), bool)
@@ -420,6 +419,6 @@ def _needs_rebuild(system: System, state: State) -> Array:
 
 
 def _record_travel(system: System, state: State) -> State:
-    """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
+    """Record the displacement of bodies since the last rebuild in excess of the expected one."""
     travel = jnp.maximum(state.guard.travel, neighbour_list.excess_displacement(system, state))
     return state.replace(guard=state.guard.replace(travel=travel))

@@ -1,8 +1,7 @@
-"""Contact of convex polytopes from their near features: depth, normal, and the faces that look at
-each other.
+"""Contact of convex polytopes from their active features: depth, normal, and support faces.
 
-See ``find_active_features``: near features say what all of them would, as long as the bodies have
-not moved further than ``ActiveFeatures.validity_radius``.
+The active features of ``find_active_features`` give the same result as all features, as long as the
+bodies have not moved by more than ``ActiveFeatures.validity_radius`` relative to each other.
 """
 
 from collections.abc import Sequence
@@ -40,25 +39,25 @@ from dem_jax.narrow_phase.patch_moments import SecondMoments
 from dem_jax.narrow_phase.tied_axes import CandidateAxes
 from dem_jax.types import ActiveFeatures, Array, Hulls, SupportFaces, as_array
 
-OPPOSITE_TOLERANCE = 1e-6  # one minus the cosine between faces that are opposite to each other
+OPPOSITE_TOLERANCE = 1e-6  # tolerance of one minus the cosine for parallel and opposite faces
 TableRows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
-PLANES_AT_ONCE = 8  # planes that clip in one go where all do
-PAIRS_AT_ONCE = 32  # pairs that are looked at together: those whose look is due, and those where it
-# will be soon
+PLANES_AT_ONCE = 8  # planes that clip at once if all planes clip
+PAIRS_AT_ONCE = 32  # pairs that are refreshed together: those whose refresh is due, and those due
+# next
 
 
 class SeparatingAxis(NamedTuple):
-    """What separates two polytopes most, in a's frame."""
+    """The axis of smallest overlap of two polytopes, in a's frame."""
 
     depth: Array  # [P] (m): the smallest overlap
     normal: Vector  # [P] x 3, unit, from a to b
     along: Array  # [P] (m): the overlap along it, larger than the depth by up to FACE_PREFERENCE
-    # where it is a face's
-    top: Array  # [P] (m): of a along it
+    # for a face axis
+    top: Array  # [P] (m): extent of a along it
 
 
 def find_separating_axis(near: ActiveFeatures, rel: RelativePose) -> SeparatingAxis:
-    """Smallest overlap over the axes of near features."""
+    """The smallest overlap over the axes of the active features."""
     turn, d = vector.expand_matrix_dims(rel.rotation, 0), expand_dims(rel.offset, 0)
     into_a = vector.add(vector.rotate(turn, unstack_vector(near.corners[:, :, 0])), d)
     into_b = vector.rotate_back(turn, vector.sub(unstack_vector(near.corners[:, :, 1]), d))
@@ -98,7 +97,7 @@ def find_separating_axis(near: ActiveFeatures, rel: RelativePose) -> SeparatingA
 
 
 def list_face_axes(near: ActiveFeatures, rel: RelativePose, width: Array) -> CandidateAxes:
-    """The axes of near faces. width: [P] (m), of the narrower body."""
+    """The candidate axes of the active faces. width: [P] (m), of the narrower body."""
     turn, d = vector.expand_matrix_dims(rel.rotation, 0), expand_dims(rel.offset, 0)
     normal_a, normal_b = (
         unstack_vector(near.faces[:3, :, 0]),
@@ -130,13 +129,13 @@ def list_face_axes(near: ActiveFeatures, rel: RelativePose, width: Array) -> Can
 
 
 def extent_along_normal(near: ActiveFeatures, normal: Vector) -> Array:
-    """Extent of a along a normal (m), [P], as far as its near corners tell."""
+    """Extent of a along a normal (m), [P], from its active corners."""
     return jnp.max(dot(expand_dims(normal, 0), unstack_vector(near.corners[:, :, 1])), axis=0)
 
 
 def _take_min_row(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Array, ...]]:
-    """The smallest of the keys [K, P], and of each of the rows [K, P] what belongs to the first
-    that has it, [P].
+    """The smallest of the keys [K, P], and from each of the rows [K, P] the entry of the first
+    smallest key, [P].
     """
     least = keys[0]
     found = tuple(row[0] for row in rows)
@@ -150,8 +149,8 @@ def _take_min_row(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Arra
 def remaining_margin(
     hulls: Hulls, near: ActiveFeatures, rows: TableRows, live: Array, rel: RelativePose
 ) -> Array:
-    """The way (m) that each of pairs [P] may still move before its near features may be others;
-    below 0: a look is due.
+    """Displacement (m) by which each of pairs [P] may still move before its active features may
+    change; below 0: a refresh is due.
 
     rows: [P] int32 each, of the table; live: [P] bool, whether there is a pair.
     """
@@ -171,10 +170,11 @@ def refresh_stale_pairs(
     rel: RelativePose,
     reach: Array | None,
 ) -> tuple[ActiveFeatures, Array]:
-    """Near features of pairs [P] that hold for their place now, and the way ``remaining_margin`` to
-    them.
+    """Active features that are valid for the current poses of pairs [P], and their remaining
+    margins.
 
-    reach: (m), of the law, None: it has none.
+    left: the current ``remaining_margin``; reach: (m), interaction range of the law; None without
+    one.
     """
     features = hulls.features
     assert features is not None
@@ -183,8 +183,8 @@ def refresh_stale_pairs(
 
     def refresh_batch(carry: tuple[ActiveFeatures, Array]) -> tuple[ActiveFeatures, Array]:
         near, left = carry
-        urgency = jnp.where(left < 0, jnp.inf, -left).astype(jnp.float32)  # what XLA finds the
-        # largest of without a sort
+        urgency = jnp.where(left < 0, jnp.inf, -left).astype(jnp.float32)  # for float32, XLA has a
+        # top-k without a sort
         at = jax.lax.top_k(urgency, count)[1]
         some = lambda x: x if x.shape[-1] == 1 else x[..., at]
         fresh = find_active_features(features, *jax.tree.map(some, (rows, radius, rel, reach)))
@@ -199,8 +199,8 @@ def refresh_stale_pairs(
 
 
 def relative_displacement_bound(near: ActiveFeatures, radius: Array, rel: RelativePose) -> Array:
-    """The most that a point of b has moved in a's frame since the look, [P] (m). radius: [P] (m),
-    of b.
+    """Upper bound of the displacement of points of b in a's frame since the feature search, [P]
+    (m). radius: [P] (m), of b.
     """
     way = vector.norm(vector.sub(rel.offset, unstack_vector(near.offset)))
     entries = zip([c for row in rel.rotation for c in row], near.rotation, strict=True)
@@ -233,21 +233,23 @@ def update_support_faces(
 
 
 def select_support_faces(of: SupportFaces, normal: Vector, rel: RelativePose) -> Array:
-    """The face of a and the face of b that look most along the normal and against it, [2, P] int32."""
+    """The faces of a and of b that are most aligned with the normal and its opposite, [2, P]
+    int32.
+    """
     return _take_min_row(
         -dot(unstack_vector(of.normals), expand_dims(outward_normals(normal, rel), 0)), (of.faces,)
     )[1][0]
 
 
 class ClipPlanes(NamedTuple):
-    """Planes of own faces of b, which may cut a, and of a, which may cut b, in their own frames."""
+    """Planes of own faces of b that may cut a, and of a that may cut b, in their own frames."""
 
-    few: Array  # [4, Kc, 2, P]: mostly the only ones, ``ActiveFeatures.clip_planes``
-    is_wide: Array | bool  # []: whether all others may cut too
+    few: Array  # [4, Kc, 2, P]: usually sufficient, ``ActiveFeatures.clip_planes``
+    is_wide: Array | bool  # []: whether all other planes may cut too
 
 
 def all_clip_planes(hulls: Hulls, rows: TableRows) -> ClipPlanes:
-    """All of them."""
+    """The clipping planes of all own faces."""
     assert hulls.features is not None
     return ClipPlanes(hulls.features.part_planes[..., jnp.stack(rows[::-1])], False)
 
@@ -260,25 +262,25 @@ def polytope_contact_patch(
     rel: RelativePose,
     found: SeparatingAxis,
 ) -> tuple[Vector, Array, DeepestPoint, Moments]:
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2),
-    where it is deepest, and its second moments about the centroid over the weight, [P] (m2); of
-    pairs [P].
+    """Contact patch of pairs [P] of polytopes.
 
-    rows: of both, [P] int32; faces: of both, [2, P] int32; planes: that clip; found: depth along
-    the normal.
+    Returns the centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P]
+    (m2), the deepest point, and the second moments about the centroid over the weight, [P] (m2).
 
-    The edges of the face of each body that looks most along the normal are clipped by the other
-    body; over what remains inside, the depth along the normal below the other's face is linear, and
-    its line integral is closed (``collide.contact_patch`` says why below the face). Both bodies in
-    one, [.., 2, P]: what is clipped twice would be compiled twice.
+    rows: of both, [P] int32; faces: support faces of both, [2, P] int32; planes: clipping planes;
+    found: separating axis.
+
+    The edges of the support face of each body are clipped by the other body; over the remaining
+    parts the depth along the normal below the other's face is linear, and its line integral has a
+    closed form (``collision_primitives.contact_patch`` explains the limit at the face). Both bodies
+    are in one array, [.., 2, P], as separate clipping would be compiled twice.
     """
     assert hulls.face_loops is not None and hulls.features is not None
     turn, d = vector.expand_matrix_dims(rel.rotation, 0), expand_dims(rel.offset, 0)
     column = fusion_barrier(faces * hulls.row.shape[0] + jnp.stack(rows))
     own_a, own_b = (loop_vectors(hulls.face_loops, at) for at in column)
     from_b, around_b = vector.sub(own_a, d), vector.rotate(turn, own_b)  # about b's origin, in a's
-    # frame
-    # where the other has its planes
+    # frame in the frame of the planes of the other body
     seen = _stack_sides(vector.rotate_back(turn, from_b), vector.add(around_b, d))
     corners = _stack_sides(from_b, around_b)
     plane = hulls.features.part_planes[:, faces[::-1], jnp.stack(rows[::-1])]  # of the other's
@@ -296,8 +298,8 @@ def polytope_contact_patch(
         *_clip_edges(hulls, rows, seen, planes, front), corners, depth
     )
     is_open = as_array(1)
-    if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is
-        # no edge of the overlap
+    if hulls.open_edges is not None:  # an edge inside a wall, or inside a compound body, is not an
+        # edge of the overlap
         is_open = take_columns(hulls.open_edges, column)
     weight, x, y, z = (
         jnp.sum(part if hulls.open_edges is None else is_open * part, axis=(0, 1)) for part in parts
@@ -334,8 +336,8 @@ def edges_inside(hulls: Hulls, rows: TableRows, rel: RelativePose) -> tuple[Arra
     """Length [P] (m) of the edges of outer faces of both bodies that are inside the other one, and
     its centroid [P] x 3 (m) about b's origin, in a's frame.
 
-    Bodies that overlap have such edges, also where the faces that look most along the normal
-    (``polytope_contact_patch``) have none.
+    Overlapping bodies have such edges, even if their support faces (``polytope_contact_patch``)
+    have none.
     """
     loops = hulls.face_loops
     assert loops is not None and hulls.features is not None
@@ -386,14 +388,15 @@ def edges_inside(hulls: Hulls, rows: TableRows, rel: RelativePose) -> tuple[Arra
 def _deepest_corner(
     corners: Vector, depth: Array, steep: Array, offset: Vector, between: DeepestPoint
 ) -> DeepestPoint:
-    """The corner that is deepest below a face across the normal of the contact, if there is one;
-    between: else.
+    """The deepest corner below a face perpendicular to the contact normal; ``between`` without such
+    a face.
 
-    corners: [k, 2, P] x 3 (m), of the faces that look at each other, about b's origin; depth: [k,
-    2, P] (m), below the other; steep: [2, P]; offset: [P] x 3 (m), of b's origin.
+    corners: [k, 2, P] x 3 (m), of the support faces, about b's origin; depth: [k, 2, P] (m), below
+    the other; steep: [2, P]; offset: [P] x 3 (m), of b's origin.
     """
     _, corner = _take_min_row(-depth, corners)
-    of_b = steep[1] >= steep[0]  # the face across the normal is a's, so that the corner is b's
+    of_b = steep[1] >= steep[0]  # the face perpendicular to the normal belongs to a, so the corner
+    # belongs to b
     x, y, z = (jnp.where(of_b, c[1], c[0]) for c in corner)
     return select_deepest(
         jnp.maximum(steep[0], steep[1]) < 1 - OPPOSITE_TOLERANCE,
@@ -403,7 +406,7 @@ def _deepest_corner(
 
 
 def _stack_sides(a: Vector, b: Vector) -> Vector:
-    """Vectors [K, P] of a and of b as one, [K, 2, P]."""
+    """Stack vectors [K, P] of a and of b into one, [K, 2, P]."""
     x, y, z = (jnp.stack([c, d], axis=1) for c, d in zip(a, b, strict=True))
     return fusion_barrier(x, y, z)
 
@@ -411,7 +414,9 @@ def _stack_sides(a: Vector, b: Vector) -> Vector:
 def _clip_edges(
     hulls: Hulls, rows: TableRows, points: Vector, planes: ClipPlanes, front: Vector
 ) -> tuple[Array, Array]:
-    """``collide.crossings`` of edges between points [k + 1, 2, P] x 3 with planes."""
+    """``collision_primitives.edge_crossings`` of edges between points [k + 1, 2, P] x 3 with
+    planes.
+    """
     assert hulls.features is not None
     every, others = hulls.features.part_planes, jnp.stack(rows[::-1])
     count = every.shape[1]
@@ -433,8 +438,9 @@ def _clip_edges(
 
 
 def _clip_half_spaces(planes: Array, front: Vector) -> tuple[Vector, Array]:
-    """Normals and offsets of the planes [4, K, 2, P] that clip: not the one opposite to the face in
-    front, through which nothing is pushed, so that a thin plate has a thick one's contact.
+    """Normals and offsets of the clipping planes [4, K, 2, P]. The plane opposite to the support
+    face does not clip, as nothing is pushed through it; a thin plate thus has the same contact as a
+    thick one.
     """
     back = dot(unstack_vector(planes), expand_dims(front, 0)) < -1 + OPPOSITE_TOLERANCE
     return unstack_vector(planes), jnp.where(back, jnp.inf, planes[3])

@@ -1,14 +1,14 @@
 """Overlap depth, contact normal and contact point of two bodies.
 
-Every function takes many pairs at once, pair index last, and answers in the frame of body a: the
-normal points from a to b, the point is relative to the origin of a. ``RelativePose`` says where b
-is.
+Every function processes many pairs at once, pair index last, and returns results in the frame of
+body a: the normal points from a to b, the point is relative to the origin of a. ``RelativePose``
+gives the pose of b.
 
 Depth and normal of two convex polytopes are the smallest overlap over the separating axes: the face
-normals of both and the cross products of their edge directions. That is exact for overlapping
-polytopes; for separated ones a depth of -g says that they are at least g apart. The contact point
-is the centroid of the overlap weighted by depth, from the edges of the two facing faces, so that it
-moves continuously as a piece tips.
+normals of both and the cross products of their edge directions. This is exact for overlapping
+polytopes; for separated ones a depth of -g means that they are at least g apart. The contact point
+is the centroid of the overlap weighted by depth, from the edges of the two support faces, so that
+it moves continuously as a piece tips.
 """
 
 import operator
@@ -30,58 +30,61 @@ from dem_jax.types import Array, Hulls, Plates
 # than this part of the depth, because an edge-edge axis nearly parallel to a face's flickers. The
 # depth stays the exact minimum.
 FACE_PREFERENCE = 0.02
-ROUNDING_FACTOR = 2.0  # of the last place of a bounding radius: overlaps no deeper may have no
+ROUNDING_FACTOR = 2.0  # units in the last place of a bounding radius: smaller overlaps may have no
 # weight
-MAX_RADIUS_FACTOR = 1.1  # of the square of a bounding radius: beyond, a contact point is an error
+MAX_RADIUS_FACTOR = 1.1  # factor of the squared bounding radius, beyond which a contact point is
+# invalid
 MIN_FACE_COSINE = 0.1  # least cosine of the angle of a face to the contact normal along which depth
 # below it is measured
 
-# Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis
-# that points so is raised by this many bounding radii of the piece times the sine of the angle at
-# which it does.
+# Beyond a seam the wall continues, so that nothing is pushed across it. The overlap along an axis
+# that points across a seam is increased by this number of bounding radii of the piece times the
+# sine of its angle.
 SEAM_SLOPE = 10.0
-PART_EDGE_TOLERANCE = 1e-5  # of a part's bounding radius: a sphere that touches the body no further
-# beside a part touches the part
-SEAM_SINE_TOLERANCE = 1e-5  # a sphere's normal that points across a seam by no more is taken to
-# stand on both panels
-FLAT_TOLERANCE = 8.0  # roundings: an edge that lies across the normal by less has no end that is
-# deeper than the other
+PART_EDGE_TOLERANCE = 1e-5  # of a part's bounding radius: a sphere that touches the body within
+# this distance beside a part touches the part
+SEAM_SINE_TOLERANCE = 1e-5  # a sphere whose normal points across a seam by no more touches both
+# panels
+FLAT_TOLERANCE = 8.0  # roundings: both ends of an edge are equally deep if the edge deviates from a
+# right angle to the normal by less
 PARALLEL_TOLERANCE = 8.0  # roundings: edges whose directions differ by less have no common normal
-UNROLL_LIMIT = 64  # rows that are gone through one after the other: the program grows with them
-ROWS_AT_ONCE = 8  # rows of which an extreme is found in one go
+UNROLL_LIMIT = 64  # rows that are processed one after the other: the size of the program grows with
+# them
+ROWS_AT_ONCE = 8  # rows that are reduced at once
 
-Separation = tuple[Array, Vector, Array]  # what ``separating_axes`` says
+Separation = tuple[Array, Vector, Array]  # result of ``separating_axes``
 FaceAndEdgeAxes = tuple[Vector, Vector, Vector, Vector]  # normals of a's and of b's faces,
 # directions of a's and of b's edges, in a's frame
-SupportFace = tuple[Array, Array, Vector]  # see _facing
+SupportFace = tuple[Array, Array, Vector]  # see _find_support_face
 Integrals = tuple[Array, Array, Array, Array]  # of depth (m2), and of depth times position, x, y, z
 # (m3)
-Moments = Callable[[], SecondMoments]  # [P]: of a patch, found when they are asked for
+Moments = Callable[[], SecondMoments]  # [P]: of a patch, computed on demand
 
 
 class RelativePose(NamedTuple):
-    """Body b as seen from body a."""
+    """Pose of body b relative to body a."""
 
     rotation: Matrix  # rows of [P]: takes vectors from b's frame to a's
     offset: Vector  # [P] x 3 (m): origin of b in a's frame
 
 
 class DeepestPoint(NamedTuple):
-    """Where bodies overlap most, by whose way the overlap grows."""
+    """Point of deepest overlap, whose displacement determines the growth of the overlap."""
 
     point: Vector  # [P] x 3 (m), in the frame of the contact
-    uncertainty: Array  # [P] (m): it may be so far from there; 0: it is that corner
+    uncertainty: Array  # [P] (m): distance of the deepest point from there, at most; 0: it is that
+    # corner
 
 
 class ContactGeometry(NamedTuple):
-    """A contact as geometry, in the frame of body a."""
+    """Geometry of a contact, in the frame of body a."""
 
     depth: Array  # [P] (m), negative: separated by at least that much
     normal: Vector  # [P] x 3, unit, from a to b
     point: Vector  # [P] x 3 (m)
-    weight: Array | None = None  # [P]: how much of the overlap is this body's, where panels
+    weight: Array | None = None  # [P]: weight of this body's part of the overlap, if panels
     # continue each other
-    deepest: DeepestPoint | None = None  # of polytopes; None: the contact point
+    deepest: DeepestPoint | None = None  # for polytopes; None: the contact point
     moments: Moments | None = None  # (m2) of the patch of polytopes about the point
     tied: Array | None = None  # [P]: as in ``types.Memory``
 
@@ -92,7 +95,7 @@ def hull_hull(
     """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [..,
     1]).
 
-    axes: what ``separating_axes`` says of them, if that is known already.
+    axes: result of ``separating_axes``, if already known.
     """
     depth, normal, along = axes or separating_axes(a, b, rel)
     point, weight, moments = contact_patch(a, b, rel, along, normal)
@@ -107,14 +110,17 @@ def hull_hull(
 
 
 def deepest_from_patch(point: Vector, weight: Array, depth: Array) -> DeepestPoint:
-    """The deepest point where it is no corner: the contact point, [P] x 3 (m), is the middle of the
-    overlap, which is as wide as half of its outline, which the weight (m2) is, over the depth (m).
+    """The deepest point if it is not a corner: the contact point, [P] x 3 (m), as the middle of the
+    overlap. The overlap extends as far as half of its perimeter, which is the weight (m2) over the
+    depth (m).
     """
     return DeepestPoint(point, jnp.where(depth > 0, weight / jnp.where(depth > 0, depth, 1), 0))
 
 
 def select_deepest(flat: Array, corner: Vector, between: DeepestPoint) -> DeepestPoint:
-    """The deepest point: a corner, [P] x 3 (m), but where there is none alone, [P] bool."""
+    """The deepest point: a corner, [P] x 3 (m), or ``between`` where ``flat`` holds, [P] bool, as
+    there is no single deepest corner.
+    """
     return DeepestPoint(
         vector.where(flat, between.point, corner), jnp.where(flat, between.uncertainty, 0)
     )
@@ -123,7 +129,7 @@ def select_deepest(flat: Array, corner: Vector, between: DeepestPoint) -> Deepes
 def _deepest_vertex(
     a: Hulls, b: Hulls, rel: RelativePose, normal: Vector, between: DeepestPoint
 ) -> DeepestPoint:
-    """Of zonotopes the corner that touches alone, if there is one; between: else."""
+    """The single deepest corner of two zonotopes; ``between`` without one."""
     of_a, flat_a = _support_vertex(a, normal)
     of_b, flat_b = _support_vertex(b, vector.scale(-1, vector.rotate_back(rel.rotation, normal)))
     corner = vector.where(flat_b, of_a, vector.add(rel.offset, vector.rotate(rel.rotation, of_b)))
@@ -131,11 +137,11 @@ def _deepest_vertex(
 
 
 def _support_vertex(of: Hulls, normal: Vector) -> tuple[Vector, Array]:
-    """The corner of a zonotope that lies furthest along a normal, [P] x 3 (m), in its frame, and
-    whether others lie as far.
+    """The corner of a zonotope that is furthest along a normal, [P] x 3 (m), in its frame, and
+    whether others are equally far.
 
-    Edge by edge: where a kernel has several sums over rows, XLA writes all that comes before anew
-    for each.
+    Computed edge by edge: if a kernel has several sums over rows, XLA recomputes all preceding
+    values for each.
     """
     assert of.half_lengths is not None
     edges = [vector.take_entries(of.directions, k) for k in range(of.directions[0].shape[0])]
@@ -154,7 +160,7 @@ def _support_vertex(of: Hulls, normal: Vector) -> tuple[Vector, Array]:
 
 def separating_axes(a: Hulls, b: Hulls, rel: RelativePose) -> Separation:
     """Smallest overlap over all separating axes, [P] (m); the axis, unit, from a to b; the overlap
-    along it, which is larger by up to FACE_PREFERENCE where a face's axis was preferred.
+    along it, which is larger by up to FACE_PREFERENCE if a face axis was preferred.
     """
     overlaps: Sequence[Array]
     overlaps, axes = _zonotope_overlaps(a, b, rel)
@@ -173,12 +179,12 @@ def _rounding_bound(a: Hulls, b: Hulls, rel: RelativePose) -> Array:
 def _zonotope_overlaps(
     a: Hulls, b: Hulls, rel: RelativePose
 ) -> tuple[tuple[Array, ...], FaceAndEdgeAxes]:
-    """Overlaps of centrally symmetric polytopes: half-widths are sums of |n . g| over a few
+    """Overlaps of centrally symmetric polytopes, whose half-widths are sums of |n . g| over a few
     generators.
 
     The half-width of a along an edge-edge axis e_i x f_j is sum_k |(e_i x f_j) . g_k| = sum_k |f_j
     . (g_k x e_i)|, and every g_k x e_i is parallel to a face normal n_m of a: sum_m C[i, m] |f_j .
-    n_m|, so that the same products serve the face axes of b and the widths of all edge-edge axes.
+    n_m|. The same products therefore serve the face axes of b and the widths of all edge-edge axes.
     """
     assert a.half_lengths is not None and a.cross_widths is not None  # of zonotopes
     assert b.half_lengths is not None and b.cross_widths is not None
@@ -216,8 +222,8 @@ def _zonotope_overlaps(
 
 
 def list_zonotope_axes(a: Hulls, b: Hulls, rel: RelativePose) -> CandidateAxes:
-    """All separating axes of zonotopes. Each overlap is a sum over all edges; in few kernels, as it
-    is seldom asked for.
+    """All separating axes of zonotopes. Each overlap is a sum over all edges, in few kernels, as it
+    is seldom needed.
     """
     assert a.half_lengths is not None and b.half_lengths is not None
     pairs, offset = rel.offset[0].shape, jnp.stack(rel.offset)[:, None]
@@ -261,14 +267,14 @@ def list_zonotope_axes(a: Hulls, b: Hulls, rel: RelativePose) -> CandidateAxes:
 
 
 def _all_axes(a: Hulls, b: Hulls, rel: RelativePose) -> FaceAndEdgeAxes:
-    """Normals of half of the faces of zonotopes, and the directions of their edges, in a's frame."""
+    """Normals of half of the faces of zonotopes, and their edge directions, in a's frame."""
     na, nb = (vector.take_entries(h.normals, slice(h.normals[0].shape[0] // 2)) for h in (a, b))
     turn = vector.expand_matrix_dims(rel.rotation, 0)
     return na, vector.rotate(turn, nb), a.directions, vector.rotate(turn, b.directions)
 
 
 def _select_axis(overlaps: Sequence[Array], axes: FaceAndEdgeAxes, rel: RelativePose) -> Separation:
-    """The smallest overlap, and the unit axis that it belongs to, turned from a to b.
+    """The smallest overlap, and its unit axis, oriented from a to b.
 
     overlaps: [m, P] of a's faces, [m, P] of b's faces, [i, j, P] of the edge-edge axes (m).
     """
@@ -291,8 +297,8 @@ def _select_axis(overlaps: Sequence[Array], axes: FaceAndEdgeAxes, rel: Relative
 def _penalize_seams(
     overlaps: Sequence[Array], axes: FaceAndEdgeAxes, a: Hulls, b: Hulls, rel: RelativePose
 ) -> list[Array]:
-    """The overlaps, raised along axes that point from panel a across a seam, in proportion so that
-    they never jump.
+    """The overlaps, increased along axes that point from panel a across a seam, in proportion to
+    the angle so that they are continuous.
     """
     assert a.seams is not None
     na, nb, ea, eb = axes
@@ -312,8 +318,8 @@ def _penalize_seams(
 
 
 def _min_row(rows: Array) -> tuple[Array, Array]:
-    """The smallest of the rows [K, ...], and the first row that has it, int32. Of a few one after
-    the other, which vectorises.
+    """The smallest of the rows [K, ...], and the index of the first such row, int32. Few rows are
+    compared one after the other, which vectorises.
     """
     if rows.shape[0] > UNROLL_LIMIT:
         least = jnp.min(rows, axis=0)
@@ -326,8 +332,8 @@ def _min_row(rows: Array) -> tuple[Array, Array]:
 
 
 def _first_true_row(mask: Array) -> Array:
-    """Index of the first row in which the mask holds, [...] int32; a minimum, which unlike argmin
-    vectorises.
+    """Index of the first row in which the mask holds, [...] int32, as a minimum, which vectorises
+    unlike argmin.
     """
     rows = mask.shape[0]
     number = jnp.arange(rows, dtype=jnp.int32).reshape(-1, *(1,) * (mask.ndim - 1))
@@ -343,16 +349,16 @@ def _orient_towards_b(normal: Vector, rel: RelativePose) -> Vector:
 def contact_patch(
     a: Hulls, b: Hulls, rel: RelativePose, depth: Array, normal: Vector
 ) -> tuple[Vector, Array, Moments]:
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2),
-    and its second moments about the centroid over the weight, [P] (m2).
+    """Contact patch: centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its
+    weight [P] (m2), and its second moments about the centroid over the weight, [P] (m2).
 
     depth: [P] (m), the overlap along the normal.
 
-    The edges of the face of each body that looks most along the normal are clipped by the other
-    body; over what remains inside, the depth along the normal below the other's face is linear, and
-    its line integral is closed. It ends at nothing where an edge leaves through that face: where
-    two faces are not quite parallel, an edge along their common line would else have its whole
-    depth on one side and none on the other, and a piece that rests there would rock for ever.
+    The edges of the support face of each body are clipped by the other body; over the remaining
+    parts the depth along the normal below the other's face is linear, and its line integral has a
+    closed form. The integral ends at zero where an edge leaves through that face: if two faces are
+    not quite parallel, an edge along their common line would otherwise have its whole depth on one
+    side and none on the other, and a piece resting there would rock forever.
     """
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     rel = regularize_touching(rel, depth, normal, b.bounding_radius)
@@ -375,7 +381,7 @@ def contact_patch(
 
 
 class _ClippedFace(NamedTuple):
-    """What remains inside the other body of a face's edges."""
+    """Integrals over the edges of a face inside the other body."""
 
     centre: Vector  # [P] x 3 (m): of the face
     weight: Array  # [P] (m2): line integral of depth
@@ -387,7 +393,7 @@ def _moments_about_centroid(
     faces: Sequence[_ClippedFace], scale: Array, centroid: Vector, radius: Array
 ) -> SecondMoments:
     """Second moments about a centroid (m2). scale: one over the weight of both faces; radius: (m),
-    that bounds b.
+    bounding radius of b.
     """
     offsets = [vector.sub(face.centre, centroid) for face in faces]
     about = [
@@ -402,11 +408,11 @@ def _moments_about_centroid(
 def regularize_touching(
     rel: RelativePose, depth: Array, normal: Vector, radius: Array
 ) -> RelativePose:
-    """Bodies that overlap by no more than rounding pressed together by as much: of what it leaves
-    of their overlap, or makes of it where there is none, no contact point could be told, and the
-    first push of a corner would turn nothing.
+    """Press bodies that overlap by no more than rounding together by that amount. Without this
+    their contact point would be undetermined, and the first force at a corner would exert no
+    torque.
 
-    depth: [P] (m), along the normal; radius: [P] or [1] (m), that bounds b.
+    depth: [P] (m), along the normal; radius: [P] or [1] (m), bounding radius of b.
     """
     fine = ROUNDING_FACTOR * float(jnp.finfo(depth.dtype).eps) * radius
     way = jnp.where((depth > 0) & (depth < fine), -fine, 0)
@@ -416,12 +422,12 @@ def regularize_touching(
 def clamp_contact_point(
     point: Vector, radius: Array, rel: RelativePose, surface: Array, normal: Vector
 ) -> Vector:
-    """The point, or below b's centre on the surface between the two where it is further from that
-    centre than any of b.
+    """The point; if it is further from b's centre than any point of b, the point below that centre
+    on the surface between the two bodies.
 
-    Of an overlap that is no deeper than rounding the weight may be nothing, or next to nothing
-    while the integrals that it divides are not. radius: [P] or [1] (m), that bounds b; surface: [P]
-    (m), its height along the normal above a's centre.
+    For an overlap within rounding the weight may be zero, or nearly zero while the integrals that
+    it divides are not. radius: [P] or [1] (m), bounding radius of b; surface: [P] (m), height of
+    the surface along the normal above a's centre.
     """
     away = vector.sub(point, rel.offset)
     below = vector.add_scaled(rel.offset, surface - dot(normal, rel.offset), normal)
@@ -436,8 +442,9 @@ def _clip_support_faces(
     facing_a: SupportFace,
     facing_b: SupportFace,
 ) -> tuple[Array, tuple[_ClippedFace, _ClippedFace]]:
-    """Of the facing faces (``_find_support_face``): a's extent along the normal [P] (m), and of
-    both what remains inside the other body. Half of the edges say all, which halves the work.
+    """Clip the support faces (``_find_support_face``): a's extent along the normal [P] (m), and for
+    both faces the part inside the other body. Half of the edges suffice by symmetry, which halves
+    the work.
     """
     assert a.face_loops is not None and b.face_loops is not None
     turn = vector.expand_matrix_dims(rel.rotation, 0)
@@ -477,9 +484,9 @@ def _clip_support_faces(
 
 
 def _extend_back_slabs(offsets: Array, side: Array, other: Array) -> tuple[Array, Array]:
-    """Middle and half of the width of slabs [m, P] (m), of which the one whose face looks at the
-    other body has its other face further behind by that body's diameter: nothing is pushed through
-    it, and a thin plate has a thick one's contact.
+    """Middle and half-width of slabs [m, P] (m). The slab of the support face is extended behind it
+    by the other body's diameter: nothing is pushed through its opposite face, and a thin plate has
+    the same contact as a thick one.
 
     side: of ``_find_support_face``; other: bounding radius of the other body (m).
     """
@@ -488,24 +495,27 @@ def _extend_back_slabs(offsets: Array, side: Array, other: Array) -> tuple[Array
 
 
 def face_steepness(up: Vector, normal: Vector) -> Array:
-    """Height above a face over depth along a normal below it, [..]: its cosine, at least STEEP.
+    """Height above a face over depth along a normal below it, [..]: its cosine, at least
+    MIN_FACE_COSINE.
 
-    up: [..] x 3, the face's outward normal; normal: [..] x 3, out of its body too.
+    up: [..] x 3, the face's outward normal; normal: [..] x 3, also outwards from its body.
     """
     return jnp.maximum(dot(up, normal), MIN_FACE_COSINE)
 
 
 def _depth_gradient(up: Vector, normal: Vector) -> Vector:
-    """What a way from a face is multiplied by for the depth along a normal below it, [..] x 3; as
-    in ``face_steepness``.
+    """Vector [..] x 3 whose dot product with a displacement from a face is the depth along a normal
+    below it; arguments as in ``face_steepness``.
     """
     return vector.scale(-1 / face_steepness(up, normal), up)
 
 
 def _find_support_face(hull: Hulls, normal: Vector) -> SupportFace:
-    """The face of a zonotope whose outward normal lies most along a direction given in the hull's
-    frame: its column [P], for each slab on which side of it that face is, [m, P]: 1 or -1, else 0,
-    and that normal.
+    """The face of a zonotope whose outward normal is most aligned with a direction in the hull's
+    frame.
+
+    Returns its column [P], for each slab the side of that face, [m, P]: 1 or -1, else 0, and its
+    normal.
     """
     assert hull.face_loops is not None
     along = dot(hull.normals, expand_dims(normal, 0))
@@ -520,14 +530,14 @@ def _find_support_face(hull: Hulls, normal: Vector) -> SupportFace:
 
 
 def loop_vectors(loops: Array, column: Array) -> Vector:
-    """The vectors [k, P] x 3 (m) in columns [P] of Hulls.loops."""
+    """The vectors [k, P] x 3 (m) in columns [P] of ``Hulls.face_loops``."""
     x, y, z = jnp.split(take_columns(loops, column), 3)
     return x, y, z
 
 
 def _centre_and_edges(loops: Array, column: Array) -> tuple[Vector, Vector]:
     """Centre [P] x 3 and half of the edges [K, P] x 3 (m) of the faces of zonotopes in columns [P]
-    of Hulls.loops.
+    of ``Hulls.face_loops``.
     """
     found = loop_vectors(loops, column)
     return vector.take_entries(found, 0), vector.take_entries(found, slice(1, None))
@@ -543,13 +553,13 @@ def _clip_zonogon(
     is_open: Array | None,
 ) -> tuple[Integrals, Moments]:
     """Line integrals of depth, and of depth times position about the centre, over the part of a
-    face's edges that is inside a zonotope: four arrays [P] (m2, m3); second moments likewise.
+    face's edges inside a zonotope: four arrays [P] (m2, m3); also the second moments.
 
     centre: [P] x 3 (m), of the face relative to the zonotope's; edges: [K, P] x 3 (m), the first
-    half of them in order, the others being opposite; normals: [m, P] x 3; slabs: middles and halves
-    [m, P] (m), the zonotope being where all
-    |normal . x - middle| < half; depth: [P] (m) at the centre; rise: [K, P] (m) of depth along the
-    edges; is_open: [2 K, P], 1 for each edge that counts, or None.
+    half of them in order, the others being opposite; normals: [m, P] x 3; slabs: middles and
+    half-widths [m, P] (m) of the zonotope |normal . x - middle| < half; depth: [P] (m) at the
+    centre; rise: [K, P] (m) of depth along the edges; is_open: [2 K, P], openness of each edge, or
+    None.
     """
     count = rise.shape[0]
     corner = fusion_barrier(*vector.map_components(_edge_starts, edges))  # [K, P]: of each edge,
@@ -570,7 +580,7 @@ def _clip_zonogon(
     at_corner = fusion_barrier(dot(across, expand_dims(corner, 0)) * inverse)
     length, to_begin = fusion_barrier(vector.norm(edges), _edge_starts(rise))
     sums, clips = [], []
-    # Of the edge that begins at a corner, and of the opposite one:
+    # For the edge that begins at a corner, and for the opposite one:
     for k, sign, before in ((0, 1, at_corner + at_centre), (1, -1, at_corner - at_centre)):
         start, end = -jnp.min(before + half, axis=0), -jnp.max(before - half, axis=0)
         weight, along, start, end = _depth_integrals(
@@ -578,7 +588,7 @@ def _clip_zonogon(
         )
         part = None if is_open is None else is_open[k * count : (k + 1) * count]
         clips.append((start, end, weight, along, sign, part))
-        if part is not None:  # an edge in the middle of a wall is no edge of the overlap
+        if part is not None:  # an edge inside a wall is not an edge of the overlap
             weight, along = part * weight, part * along
         sums.append((weight, sign * weight, sign * along))
     both = [p + q for p, q in zip(*sums, strict=True)]
@@ -587,7 +597,7 @@ def _clip_zonogon(
         jnp.sum(both[1] * c + both[2] * e, axis=0) for c, e in zip(corner, edges, strict=True)
     )
 
-    def second_moments() -> SecondMoments:  # of which opposite edges have the same
+    def second_moments() -> SecondMoments:  # opposite edges have the same second moments
         integrals = []
         for start, end, weight, along, sign, part in clips:
             square = _second_depth_integral(
@@ -606,8 +616,8 @@ def _clip_zonogon(
 
 
 def _edge_starts(steps: Array) -> Array:
-    """Where each of the first half of the steps [K, P] around a centrally symmetric loop begins,
-    about its centre.
+    """Start of each of the first half of the steps [K, P] around a centrally symmetric loop, about
+    its centre.
     """
     number = jnp.arange(steps.shape[0])[:, None]
     return _sum_terms(
@@ -617,7 +627,7 @@ def _edge_starts(steps: Array) -> Array:
 
 
 def edge_crossings(points: Vector, normals: Vector, offsets: Array) -> tuple[Array, Array]:
-    """Where each edge of a face, from 0 to 1, enters a polytope, and where it leaves it, [k, ..]
+    """Parameters from 0 to 1 at which each edge of a face enters and leaves a polytope, [k, ..]
     each.
 
     points: [k + 1, ..] x 3, the corners relative to the polytope's origin; normals: [m, ..] x 3 and
@@ -639,11 +649,11 @@ def edge_crossings(points: Vector, normals: Vector, offsets: Array) -> tuple[Arr
 def integrate_clipped_edges(
     start: Array, end: Array, corners: Vector, depth: Array
 ) -> tuple[Integrals, Moments]:
-    """For each edge of a face, the line integral of depth over its part inside a polytope, and of
-    depth times position: four arrays [k, ..] (m2, m3); second moments likewise.
+    """Line integrals of depth over the part of each edge of a face inside a polytope, and of depth
+    times position: four arrays [k, ..] (m2, m3); also the second moments.
 
     start, end: [k, ..], ``edge_crossings``; corners: [k + 1, ..] x 3 (m); depth: [k + 1, ..] (m),
-    at them.
+    at the corners.
     """
     corner, edge = (
         vector.take_entries(corners, slice(-1)),
@@ -659,8 +669,8 @@ def integrate_clipped_edges(
 
 
 def _reduce_rows(of: Callable[..., Array], rows: Array) -> Array:
-    """The largest or smallest of the rows [K, ..]: of a few at a time, which the compiler unrolls
-    and so vectorises, unless that makes the program long.
+    """The largest or smallest of the rows [K, ..], a few rows at a time, which the compiler unrolls
+    and so vectorises, unless the program would become long.
     """
     if rows.shape[0] > UNROLL_LIMIT:
         return of(rows, axis=0)
@@ -676,7 +686,7 @@ def _depth_integrals(
     start: Array, end: Array, length: Array, depth: Array, rise: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Integrals of depth, and of depth times t, over the part of edges (t from 0 to 1) from start
-    to end, [k, P] (m2); start and end of that part.
+    to end, [k, P] (m2); and start and end of that part.
     """
     start, end = fusion_barrier(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
     part = jnp.maximum(end - start, 0)
@@ -692,7 +702,9 @@ def _depth_integrals(
 def _second_depth_integral(
     start: Array, end: Array, length: Array, depth: Array, rise: Array, along: Array
 ) -> Array:
-    """Integral of depth times t^2, likewise. along: that of depth times t."""
+    """Integral of depth times t^2 over the part of edges, [k, P] (m2). along: that of depth
+    times t.
+    """
     part = jnp.maximum(end - start, 0)
     middle = 0.5 * (start + end)
     at_middle = jnp.maximum(depth + rise * middle, 0)
@@ -700,7 +712,7 @@ def _second_depth_integral(
 
 
 def sphere_sphere(radius_a: Array, radius_b: Array, offset: Vector) -> ContactGeometry:
-    """Two spheres; offset: centre of b relative to a, [P] x 3 (m). In world axes."""
+    """Contact of two spheres, in world axes; offset: centre of b relative to a, [P] x 3 (m)."""
     distance = vector.norm(offset)
     normal = vector.scale(1 / jnp.maximum(distance, jnp.finfo(distance.dtype).tiny), offset)
     depth = radius_a + radius_b - distance
@@ -708,8 +720,8 @@ def sphere_sphere(radius_a: Array, radius_b: Array, offset: Vector) -> ContactGe
 
 
 def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> ContactGeometry:
-    """A convex polytope a and a sphere b whose centre (in a's frame, [P] x 3) may lie in it or
-    outside.
+    """Contact of a convex polytope a and a sphere b, whose centre (in a's frame, [P] x 3) may be
+    inside or outside.
     """
     part, a = a, a if a.extended is None else a.extended
     height = fusion_barrier(dot(a.normals, expand_dims(centre, 0)) - a.offsets)  # [F, P]
@@ -730,8 +742,8 @@ def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> ContactGeometry:
 
 
 def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
-    """As ``hull_sphere``, of a panel a: a prism, of which the closest point is found in height and
-    in the plane apart.
+    """As ``hull_sphere``, for a panel a: a prism, whose closest point is found separately in height
+    and in the plane.
     """
     x, y, z = centre
     to_x, to_y = x[None] - a.corners[0], y[None] - a.corners[1]  # [k, P]
@@ -747,7 +759,7 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
         jnp.where(is_beside, take_entry(rows, nearest), 0) for rows in (from_x, from_y)
     )
     away = fusion_barrier(aside_x, aside_y, up * jnp.maximum(above, 0))
-    is_side = -least > above  # of a centre in the plate, which face it is nearest to
+    is_side = -least > above  # nearest face to a centre inside the plate
     inner = (
         jnp.where(is_side, take_entry(along_y, edge), 0),
         jnp.where(is_side, -take_entry(along_x, edge), 0),
@@ -770,9 +782,11 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
 def _sphere_contact(
     away: Vector, height: Array, face_normal: Vector, radius: Array, centre: Vector
 ) -> ContactGeometry:
-    """A body and a sphere. away: (m) from the closest point of the body's surface to the sphere's
-    centre; height, face_normal: of that centre above the face that it is highest above (m, < 0: in
-    the body), and that face's normal.
+    """Contact of a body and a sphere.
+
+    away: (m) from the closest point of the body's surface to the sphere's centre; height: of that
+    centre above the face that it is highest above (m, < 0: inside the body); face_normal: of that
+    face.
     """
     distance = vector.norm(away)
     outside = (height > 0) & (distance > 0)
@@ -783,8 +797,8 @@ def _sphere_contact(
 
 
 def _closest_on_faces(hull: Hulls, height: Array, centre: Vector) -> tuple[Vector, Array]:
-    """Closest point of each face polygon to a point: [F, P] x 3 (m), and its squared distance [F,
-    P] (m2).
+    """Closest points on each face polygon to a point: [F, P] x 3 (m), and their squared distances
+    [F, P] (m2).
     """
     corners = hull.corners  # [k, F, P]
     assert corners is not None
@@ -814,8 +828,8 @@ def _sum_terms(terms: Iterable[Array]) -> Array:
 
 
 def _take_vector(v: Vector, index: Array) -> Vector:
-    """Entry index of each list v, [K, ...] x 3: of a few a row of selections, which unlike a gather
-    vectorises.
+    """Entry ``index`` of each list v, [K, ...] x 3; few entries by selections, which vectorise
+    unlike a gather.
     """
     if v[0].shape[0] > UNROLL_LIMIT:
         rows = vector.map_components(lambda c: jnp.broadcast_to(c, (c.shape[0], *index.shape)), v)
@@ -826,7 +840,7 @@ def _take_vector(v: Vector, index: Array) -> Vector:
 
 
 def take_entry(rows: Array, index: Array) -> Array:
-    """Entry index of each list [K, ..], by a row of selections."""
+    """Entry ``index`` of each list [K, ..], by selections."""
     out = rows[0]
     for k in range(1, rows.shape[0]):
         out = jnp.where(index == k, rows[k], out)

@@ -1,4 +1,4 @@
-"""Contacts as geometry, about the centres of the pieces that they push."""
+"""Contact geometry in world axes, about the centres of the pieces."""
 
 from typing import NamedTuple
 
@@ -15,17 +15,17 @@ from dem_jax.types import Array, PairConstants, System
 
 
 class WorldContacts(NamedTuple):
-    """Contacts of one kind as geometry, in world axes, about the centres of the pieces."""
+    """Geometry of the contacts of one kind, in world axes, about the centres of the pieces."""
 
-    overlap: Array  # [P] (m), negative: separated by at least that much, or nobody's
+    overlap: Array  # [P] (m), negative: separated by at least that much, or owned by another slot
     normal: Vector  # [P] x 3, unit, from a to b
-    at_a: Vector  # [P] x 3 (m): where they touch, from the centre of a
-    at_b: Vector  # from that of b
-    weight: Array | None  # [P]: as of ``collision_primitives.ContactGeometry``
-    deepest: DeepestPoint | None  # from the centre of b; None: where they touch
-    moments: Moments | None = None  # as of ``collision_primitives.ContactGeometry``, in any axes
-    spread: SecondMoments | None = None  # of what is part of a patch: the same in world axes
-    tied: Array | None = None  # as of ``types.Memory``
+    at_a: Vector  # [P] x 3 (m): contact point, from the centre of a
+    at_b: Vector  # the same from the centre of b
+    weight: Array | None  # [P]: as in ``collision_primitives.ContactGeometry``
+    deepest: DeepestPoint | None  # from the centre of b; None: the contact point
+    moments: Moments | None = None  # as in ``collision_primitives.ContactGeometry``, in any axes
+    spread: SecondMoments | None = None  # the same in world axes, for parts of a shared patch
+    tied: Array | None = None  # as in ``types.ContactHistory``
 
 
 def to_mass_centres(
@@ -35,7 +35,7 @@ def to_mass_centres(
     offset: Vector,
     shape: collision_primitives.ContactGeometry,
 ) -> WorldContacts:
-    """Contacts of a shape in world axes, about the centre of a."""
+    """Convert contacts of shapes to world axes and to the centres of the pieces."""
     overlap = jnp.where(slots.live, shape.depth, -1)
     moments = None if slots.patch is None else shape.moments
 
@@ -56,13 +56,13 @@ def to_mass_centres(
 
 
 def rotate_moments_to_world(a: BodyState, moments: Moments) -> SecondMoments:
-    """Those that ``moments`` says in a's frame."""
+    """Second moments, given in a's frame by ``moments``, in world axes."""
     assert a.rotation is not None
     return patch_moments.rotate_moments(a.rotation, moments())
 
 
 def offset_between_pieces(a: BodyState, b: BodyState, offset: Vector) -> Vector:
-    """The offset between the centres of pieces, [P] x 3 (m); offset: between those of their parts."""
+    """Offset between the centres of pieces, [P] x 3 (m); offset: between those of their parts."""
     return (
         offset
         if a.part_offset is None or b.part_offset is None
@@ -71,14 +71,16 @@ def offset_between_pieces(a: BodyState, b: BodyState, offset: Vector) -> Vector:
 
 
 def add_interaction_range(overlap: Array, reach: Array | None) -> Array:
-    """Overlap (m) from where the law begins to act, [P]. reach: (m) of the law, None: it has none."""
+    """Overlap (m) measured from the onset of the law, [P]. reach: interaction range (m) of the law;
+    None without one.
+    """
     return overlap if reach is None else overlap + reach
 
 
 def empty_world_contacts(
     system: System, kind: str, slots: PairConstants, dtype: DTypeLike
 ) -> WorldContacts:
-    """Slots of a kind, of surfaces that others continue, in which nothing touches."""
+    """Slots of a kind with shared surfaces, without contacts."""
     zero = jnp.zeros(slots.b.shape, dtype)
     deepest, tied = (
         (DeepestPoint((zero,) * 3, zero), zero if system.may_tie else None)

@@ -1,5 +1,5 @@
-"""Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere, a
-panel and a sphere.
+"""Contact geometry of each kind of contact: spheres, polytopes, a polytope and a sphere, a panel
+and a sphere.
 """
 
 from collections.abc import Callable
@@ -31,21 +31,21 @@ from dem_jax.types import (
 
 
 class CachedGeometry(NamedTuple):
-    """What is known of a block of pairs of polytopes with features; of all other pairs, and where
-    all features are looked at in every step, nothing.
+    """Cached data of a tile of pairs of polytopes with features; empty for all other pairs, and
+    without a feature cache.
     """
 
     active_features: ActiveFeatures | None = None
     support_faces: SupportFaces | None = None
-    clip_planes: Callable[[], Array] | None = None  # Near.clipping: nobody needs them where nothing
-    # touches
+    clip_planes: Callable[[], Array] | None = None  # ActiveFeatures.clip_planes, needed only if
+    # bodies touch
 
 
 WeightedPoint = tuple[Array, Vector, Vector]  # weight [P] (m2) and point [P] x 3 (m) about the
 # centres of both pieces, see ``WorldContacts``
 
 NO_CACHE = CachedGeometry()
-EDGE_WEIGHT = 1e-6  # of depth times length: of contacts whose weight is told by edges
+EDGE_WEIGHT = 1e-6  # of depth times length: weight of contacts that are located by their edges
 
 
 def compute_contact_geometry(
@@ -59,13 +59,15 @@ def compute_contact_geometry(
 ) -> tuple[
     Array, Callable[[ContactHistory], collision_primitives.ContactGeometry], SupportFaces | None
 ]:
-    """Depth of each slot, [P] (m), and a function of their memory that says the rest, which nobody
-    needs where nothing touches: a ``collision_primitives.ContactGeometry`` with normal (a to b) and
-    point (relative to the centre of a) in world axes. The point of polytopes is where they would
-    touch if b were nearer by the reach of the law: between separated ones there is a force too.
+    """Depth of each slot, [P] (m), a function of its history that returns the full geometry, and
+    the updated support faces.
 
-    Third, the faces of polytopes that look at each other, as far as they are kept for the next
-    step.
+    The function is called only if bodies touch. It returns a
+    ``collision_primitives.ContactGeometry`` with normal (a to b) and point (relative to the centre
+    of a) in world axes. The point of polytopes is where they would touch if b were nearer by the
+    interaction range of the law, since separated bodies may also have a force.
+
+    The support faces of polytopes are returned if they are cached for the next step.
     """
     if kind == "spheres":
         found = collision_primitives.sphere_sphere(slots.radius_a, slots.radius_b, offset)
@@ -120,8 +122,8 @@ def compute_contact_geometry(
             )
         axes = partial(cached_features.list_face_axes, features, rel, slots.width)
         tied, (depth, normal, along) = resolve_ties(system, slots, memory, separation[:3], axes)
-        top = separation.top  # of a's face, along its normal: where axes tie it is that of the
-        # corner on it
+        top = separation.top  # of a's face, along its normal; for tied axes that of the corner on
+        # it
         one = cached_features.SeparatingAxis(
             depth,
             normal,
@@ -141,8 +143,8 @@ def compute_contact_geometry(
 def _place_at_corner(
     found: collision_primitives.ContactGeometry, tied: Array
 ) -> collision_primitives.ContactGeometry:
-    """The contact with tied axes at the corner that touches alone, if one does: which faces look at
-    each other is as undecided as the axes are, and so is the centroid of what they clip.
+    """Place a contact with tied axes at its single deepest corner, if there is one: with undecided
+    axes the support faces, and so the centroid of their patch, are undecided too.
     """
     assert found.deepest is not None
     alone = (tied > 0) & (found.deepest.uncertainty <= 0)
@@ -150,8 +152,9 @@ def _place_at_corner(
 
 
 def relative_pose(a: BodyState, b: BodyState, offset: Vector) -> collision_primitives.RelativePose:
-    """Body b as seen from body a; offset: between their centres, in world axes."""
-    assert a.rotation is not None and b.rotation is not None  # not where all are spheres
+    """Pose of body b relative to body a; offset: between their centres, in world axes."""
+    assert a.rotation is not None and b.rotation is not None  # always available unless all are
+    # spheres
     return collision_primitives.RelativePose(
         vector.matmul(vector.transpose(a.rotation), b.rotation),
         vector.rotate_back(a.rotation, offset),
@@ -159,14 +162,14 @@ def relative_pose(a: BodyState, b: BodyState, offset: Vector) -> collision_primi
 
 
 def hull_rows(system: System, slots: PairConstants) -> TableRows:
-    """Rows of both bodies in the table of hulls, [P] int32."""
+    """Rows of both bodies in the hull table, [P] int32."""
     return system.shape[slots.a], system.shape[slots.b]
 
 
 def polytope_contact(
     table: Hulls, rows: TableRows, rel: collision_primitives.RelativePose
 ) -> collision_primitives.ContactGeometry:
-    """Contact of the polytopes of rows (a, b) [P] of a table with features, from all of them, in
+    """Contact of the polytopes of rows (a, b) [P] of a table with features, from all features, in
     a's frame.
     """
     axes, _, faces = _search_all_features(table, rows, rel, None)
@@ -178,7 +181,9 @@ def polytope_contact(
 def _search_all_features(
     table: Hulls, rows: TableRows, rel: collision_primitives.RelativePose, reach: Array | None
 ) -> tuple[cached_features.SeparatingAxis, ActiveFeatures, Array]:
-    """Axes, near features and facing faces of polytopes, from all of their features."""
+    """Separating axes, active features and support faces of polytopes, from all of their
+    features.
+    """
     assert table.features is not None
     features = feature_search.find_active_features(
         table.features, rows, _bounding_radii(table, rows), rel, reach
@@ -213,8 +218,8 @@ def _find_polytope_axes(
     Callable[[], cached_features.ClipPlanes],
     SupportFaces | None,
 ]:
-    """Axes, near features, facing faces and clipping planes of polytopes, and Facing for the next
-    step.
+    """Separating axes, active features, support faces and clipping planes of polytopes, and
+    ``SupportFaces`` for the next step.
     """
     if known.active_features is None:
         axes, features, faces = _search_all_features(table, rows, rel, reach)
@@ -248,7 +253,9 @@ def _polytope_geometry(
     axes: cached_features.SeparatingAxis,
     reach: Array | None,
 ) -> collision_primitives.ContactGeometry:
-    """Contact of polytopes whose axes are known; reach: [P] or [1] (m), None of a law without."""
+    """Contact of polytopes with known separating axes; reach: interaction range, [P] or [1] (m),
+    None without one.
+    """
     if reach is None:
         return collision_primitives.ContactGeometry(
             axes.depth,
@@ -271,8 +278,8 @@ def _zonotope_geometry(
     axes: collision_primitives.Separation,
     reach: Array | None,
 ) -> collision_primitives.ContactGeometry:
-    """Contact of two zonotopes, their separating axes known; reach: [P] or [1] (m), None of a law
-    without.
+    """Contact of two zonotopes with known separating axes; reach: interaction range, [P] or [1]
+    (m), None without one.
     """
     if reach is None:
         return collision_primitives.hull_hull(hull_a, hull_b, rel, axes)
@@ -291,15 +298,15 @@ def locate_by_edges(
     found: WorldContacts,
     is_lone: Array,
 ) -> WeightedPoint:
-    """Weights and points of contacts of polytopes, by all of their edges where the faces that look
-    at each other tell none.
+    """Weights and points of contacts of polytopes, from all of their edges if the support faces
+    have no patch.
 
-    That is where the vertex or edge that touches belongs to neither of these faces, as at the ridge
+    This occurs if the vertex or edge that touches belongs to neither support face, as at the ridge
     of a hip roof.
 
-    is_lone: [P] bool, of which contacts that is so; of parts that do not overlap themselves the
-    weight stays 0. It is next to none beside that of a patch, so that it decides only where there
-    is no patch.
+    is_lone: [P] bool, flags of such contacts; for parts that do not overlap themselves the weight
+    stays 0. The weight is negligible compared with that of a patch, so that it matters only without
+    one.
     """
     table, reach = system.hulls, system.law.interaction_range(slots.pair)
     assert table is not None and a.rotation is not None and found.weight is not None
@@ -324,8 +331,8 @@ def locate_by_edges(
 def may_overlap(
     system: System, slots: PairConstants, a: BodyState, b: BodyState, offset: Vector
 ) -> Array:
-    """Whether parts of polytopes themselves, without what continues them, may be within the reach
-    of the law, [P] bool.
+    """Whether parts of polytopes themselves, without their continuation by other parts, may be
+    within the interaction range of the law, [P] bool.
     """
     table, reach = system.hulls, system.law.interaction_range(slots.pair)
     assert table is not None and table.features is not None
@@ -338,9 +345,9 @@ def may_overlap(
 def candidate_overlap(
     system: System, kind: str, slots: PairConstants, a: BodyState, b: BodyState, offset: Vector
 ) -> Array:
-    """Depth of each slot, or more, [P] (m), as far as it decides which pairs are near; of polytopes
-    that are parts of more the smaller of that of the whole and their own: beyond a part others
-    touch.
+    """Depth of each slot, or an upper bound, [P] (m), for the selection of near pairs. For
+    polytopes that are parts, the smaller of the depth of the whole body and of the part itself,
+    since beyond a part other parts touch.
     """
     table = system.hulls
     if kind != "hulls" or table is None or table.features is None:
@@ -364,8 +371,8 @@ def candidate_overlap(
 
 
 def has_feature_cache(system: System) -> bool:
-    """Whether near features of polytopes are kept from step to step; else all are looked at in
-    each.
+    """Whether active features of polytopes are cached between steps; otherwise each step searches
+    all features.
     """
     they_meet = any(kind == "hulls" for kind, _, _ in system.capacity)
     return (
@@ -379,7 +386,7 @@ def has_feature_cache(system: System) -> bool:
 def _rotate_to_world(
     found: collision_primitives.ContactGeometry, a: BodyState
 ) -> collision_primitives.ContactGeometry:
-    """The same in world axes."""
+    """The contact geometry in world axes."""
     assert a.rotation is not None
     turned = partial(vector.rotate, a.rotation)
     deepest = found.deepest and found.deepest._replace(point=turned(found.deepest.point))

@@ -1,6 +1,4 @@
-"""Edges of one convex polytope with edges of another: where they make a face of the Minkowski
-difference.
-"""
+"""Edge pairs of two convex polytopes that make a face of the Minkowski difference."""
 
 from typing import NamedTuple
 
@@ -11,26 +9,27 @@ from dem_jax.math.vector import Vector, dot, expand_dims, fusion_barrier, unstac
 from dem_jax.narrow_phase.collision_primitives import RelativePose
 from dem_jax.types import Array
 
-PARALLEL_TOLERANCE = 8  # roundings: edges whose arcs cross by less do not cross
+PARALLEL_TOLERANCE = 8  # roundings: arcs that cross by less count as not crossing
 
 
 class EdgePairs(NamedTuple):
     """Edges of a with edges of b, [.., P], in a's frame."""
 
-    overlap: Array  # (m) along the normal of both; infinite where they make no face of the
-    # Minkowski difference
-    axis: Vector  # x 3: square to both ...
-    scale: Array  # ... of which so many are the unit normal from a to b
+    overlap: Array  # (m) along the normal of both; infinite if they make no face of the Minkowski
+    # difference
+    axis: Vector  # x 3: perpendicular to both ...
+    scale: Array  # ... and the factor that makes it the unit normal from a to b
     distance: Array  # (m): of their nearest points
-    gauss_map_gap: Array  # by how much their arcs on the Gauss map miss each other, as the sine of
-    # an angle; 0 where they cross
+    gauss_map_gap: Array  # separation of their arcs on the Gauss map, as the sine of an angle; 0 if
+    # they cross
 
 
 def evaluate_edge_pairs(a: Array, b: Array, rel: RelativePose) -> EdgePairs:
-    """Edges a, b [13, .., P] in their own frames (``Features.edges``); axes before P broadcast.
+    """Evaluate pairs of edges a, b [13, .., P] in their own frames (``PolytopeFeatures.edges``);
+    axes before P broadcast.
 
-    The axis of two edges is that of a face where it stands square to both and all four neighbouring
-    faces fall off from it.
+    Two edges make a face of the Minkowski difference if all four adjacent faces lie on one side of
+    their common normal, so that their arcs on the Gauss map cross.
     """
     middle_a, along_a, half_a, *inward_a = unpack_edge(a)
     middle_b, along_b, half_b, *inward_b = unpack_edge(b)
@@ -70,7 +69,7 @@ def _shortest_connection(
     sine2: Array,
     eps: float,
 ) -> Vector:
-    """The shortest way from edge a to edge b, x 3 (m)."""
+    """Shortest displacement from edge a to edge b, x 3 (m)."""
     apart = vector.sub(middle_b, middle_a)
     cosine, on_a, on_b = dot(along_a, along_b), dot(along_a, apart), dot(along_b, apart)
     s = jnp.clip((on_a - cosine * on_b) / jnp.maximum(sine2, eps * eps), -half_a, half_a)
@@ -80,6 +79,6 @@ def _shortest_connection(
 
 
 def unpack_edge(rows: Array) -> tuple[Vector, Vector, Array, Vector, Vector]:
-    """Middle, direction, half length, and the directions into both faces."""
+    """Midpoint, direction, half length, and the in-face directions of both adjacent faces."""
     three = lambda i: unstack_vector(rows[i : i + 3])
     return three(0), three(3), rows[6], three(7), three(10)

@@ -1,5 +1,5 @@
-"""When a look at pairs of polytopes is due: how far each pair may move before it is asked, and how
-far it has moved.
+"""Feature cache of pairs of polytopes: the displacement that remains before the next check, and the
+need for a refresh.
 """
 
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from dem_jax.types import (
 )
 
 KIND = "hulls"
-SPEED_MARGIN = 1.01  # of a way
+SPEED_MARGIN = 1.01  # safety factor of a displacement
 
 
 def needs_refresh(state: State) -> Array:
@@ -30,7 +30,7 @@ def needs_refresh(state: State) -> Array:
 
 
 def advance_margin(system: System, state: State, stacked: Array) -> State:
-    """The state after the pieces went the way of a step. stacked: bodies.stack."""
+    """The state with margins reduced by the displacement of a step. stacked: packed bodies."""
     scratch = state.scratch
     way = jnp.where(state.step == scratch.refreshed_at, 0, SPEED_MARGIN * system.dt)
     assert scratch.remaining_margin is not None
@@ -43,8 +43,8 @@ def advance_margin(system: System, state: State, stacked: Array) -> State:
 
 
 def refresh_features(system: System, state: State, stacked: Array, step: Array) -> State:
-    """The state with near features that hold for all pairs of polytopes where they are after a
-    step, [] int32. stacked: bodies.stack then.
+    """The state with active features that are valid for all pairs of polytopes at a step, [] int32.
+    stacked: packed bodies at that step.
     """
     assert system.hulls is not None
     scratch, slots = state.scratch, state.scratch.slots[KIND]
@@ -64,8 +64,8 @@ def refresh_features(system: System, state: State, stacked: Array, step: Array) 
 def relative_poses_and_margins(
     system: System, state: State, stacked: Array
 ) -> tuple[RelativePose, Array]:
-    """How all pairs of polytopes [P] are to each other, and the way (m) that each may still move;
-    below 0: a look at it is due. stacked: bodies.stack.
+    """Relative poses of all pairs of polytopes [P], and their remaining margins (m); below 0: a
+    refresh is due. stacked: packed bodies.
     """
     assert system.hulls is not None
     slots = state.scratch.slots[KIND]
@@ -80,11 +80,11 @@ def relative_poses_and_margins(
 
 
 def _relative_speed_bounds(system: System, scratch: Scratch, stacked: Array) -> Array:
-    """The most by which the points of b move in the frame of a, of each pair [P] (m/s).
+    """Upper bound of the speed of points of b in the frame of a, for each pair [P] (m/s).
 
-    That of their centres to each other, and what the turning of each adds: of b to its own points,
-    of a to all that is as far from it as those of b, a piece, are: no pair was or gets further
-    apart until the next rebuild.
+    It is the relative speed of their centres plus the contributions of their rotations: that of b
+    at its own points, that of a at the largest distance of points of b, a piece, as no pair gets
+    further apart until the next rebuild.
     """
     own = jnp.concatenate(
         [system.parts.bounding_radius, vector.norm(tuple(system.walls.half_extent))]
@@ -106,7 +106,7 @@ def _relative_speed_bounds(system: System, scratch: Scratch, stacked: Array) -> 
 def _record_initial_overlap(
     guard: OverflowReport, is_first: Array, known: ActiveFeatures, slots: PairConstants
 ) -> OverflowReport:
-    """The guard with the deepest pair of all, if this is the first time."""
+    """The overflow report with the deepest pair, if this is the first refresh."""
     relative_depth = jnp.where(slots.live, known.depth / slots.width, -jnp.inf)
     worst = jnp.argmax(relative_depth)
     more = is_first & (relative_depth[worst] > guard.start_overlap)

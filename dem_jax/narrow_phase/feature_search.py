@@ -5,7 +5,7 @@ Depth and normal of two polytopes are those of the nearest face of their Minkows
 face of one body with a vertex of the other, or two edges that cross on the Gauss map. Of hundreds
 of features only those near the contact matter while the bodies move little relative to each other.
 The search finds them together with a validity radius (``ActiveFeatures.validity_radius``): within
-this relative displacement, ``near.axes`` gives the same result as all features.
+this relative displacement, the active features give the same result as all features.
 
 - The overlap along a face normal changes by no more than the displacement, and so does the depth. A
   face is excluded if its overlap exceeds the depth by more than twice the displacement.
@@ -36,16 +36,17 @@ from dem_jax.narrow_phase.edge_pairs import evaluate_edge_pairs, unpack_edge
 from dem_jax.narrow_phase.row_selection import first_true, k_smallest, mask_padding, take_rows
 from dem_jax.types import ActiveFeatures, Array, PolytopeFeatures, SupportFaces
 
-GILBERT_STEPS = 4  # towards the nearest points: more leave out no more pairs (measured on packed
-# hulls)
-# room for features, at least
+GILBERT_STEPS = 4  # steps towards the nearest points: more steps exclude no further pairs (measured
+# on packed hulls) minimum capacities for features
 FACE_SLOTS, CORNER_SLOTS, EDGE_SLOTS, EDGE_PAIR_SLOTS, SUPPORT_FACE_SLOTS = 4, 8, 16, 12, 4
 INSIDE_TOLERANCE = 1e-6  # of a body's size: points above its faces by less are inside
-WIDE_CLIP_FRACTION = 0.01  # of the radius of b: where less way than this is free, all planes clip
+WIDE_CLIP_FRACTION = 0.01  # of the radius of b: with less free displacement, all planes clip
 
 
 class _Sides(NamedTuple):
-    """Both bodies of each pair as one list, [2 P]: first all a, then all b, each in its own frame."""
+    """Both bodies of each pair as one list, [2 P]: first all a, then all b, each in its own
+    frame.
+    """
 
     row: Array  # [2 P] int32: of the table
     turn: Matrix  # takes vectors from the other's frame into the own
@@ -63,9 +64,7 @@ class _SupportData(NamedTuple):
 
 
 class _SelectedFeatures(NamedTuple):
-    """Features of each side that count, and how near to counting the first of the others is, [.., 2
-    P].
-    """
+    """Selected features of each side, and the bounds of the omitted ones, [.., 2 P]."""
 
     faces: Array  # [4, Kf]: planes
     corners: Array  # [Kv] int32: of the other
@@ -74,13 +73,13 @@ class _SelectedFeatures(NamedTuple):
 
 
 class _SelectedEdges(NamedTuple):
-    """Pairs of near edges [E, E' of them as one axis, P] and the bound of the omitted ones."""
+    """Pairs of selected edges [E, E' as one axis, P] and the bound of the omitted ones."""
 
     of_a: Array  # [E, P] int32
     of_b: Array  # [E', P] int32
     bound: Array  # [E, 2 P] (m): least overlap along the arc of each near edge
     behind: Array  # [2 P] (m): of the first edge left out
-    overlap: Array  # [E E', P] (m), see Couples
+    overlap: Array  # [E E', P] (m), see EdgePairs
     distance: Array
     gauss_map_gap: Array
 
@@ -92,9 +91,10 @@ def find_active_features(
     rel: RelativePose,
     reach: Array | None,
 ) -> ActiveFeatures:
-    """Near features of pairs, of rows ([P], [P]) of a table.
+    """Active features of pairs, of rows ([P], [P]) of a table.
 
-    radius: [P] each (m), of the bounding spheres; reach: (m), of the law; None: it has none.
+    radius: [P] each (m), of the bounding spheres; reach: interaction range (m) of the law; None
+    without one.
     """
     f, sides, (row_a, row_b) = features, _make_sides(rows, rel), rows
     met = _compute_support_data(f, sides)
@@ -102,13 +102,14 @@ def find_active_features(
     chosen = _select_faces_and_corners(f, sides, met, jnp.minimum(of_a, of_b))
     edges = _select_edges(f, sides, rows, rel, _extent_corners(f, sides, met, chosen))
     depth = jnp.minimum(jnp.minimum(of_a, of_b), jnp.min(edges.overlap, axis=0))
-    swing = 1 + (vector.norm(rel.offset) + radius[0]) / radius[1]  # of a's points about b's centre,
-    # where b turns
+    swing = 1 + (vector.norm(rel.offset) + radius[0]) / radius[1]  # displacement factor of a's
+    # points when b rotates about its centre
     apart = jnp.minimum(
         jnp.min(edges.distance, axis=0),
         jnp.minimum(*_split_sides(_face_corner_distance(f, sides, met))),
     )
-    gap = jnp.where(depth > 0, depth, apart)  # of separated ones how far apart they are at most
+    gap = jnp.where(depth > 0, depth, apart)  # for separated bodies an upper bound of their
+    # distance
     pairs_of_edges, margin = _select_edge_pairs(edges, depth, gap, radius[1], swing)
     margin = jnp.minimum(margin, _face_validity_radius(chosen, edges, depth, radius, swing))
 
@@ -117,14 +118,14 @@ def find_active_features(
     free = free - far
     wide = free < WIDE_CLIP_FRACTION * radius[1]
     margin = jnp.minimum(margin, jnp.where(wide, jnp.inf, free))
-    if reach is not None:  # of what is near but apart, or parts, only where a kept axis tells the
-        # distance
+    if reach is not None:  # for bodies that are near but separated, only while a kept axis gives
+        # the distance
         along_one = _separation_validity_radius(
             f, sides, met, chosen, jnp.where(depth > 0, 0, apart), swing
         )
         margin = jnp.minimum(margin, jnp.maximum(along_one, depth))
-    margin = jnp.maximum(margin, jnp.maximum(-of_a - far, (-of_b - far) / swing))  # so far a face's
-    # axis parts them
+    margin = jnp.maximum(margin, jnp.maximum(-of_a - far, (-of_b - far) / swing))  # up to here the
+    # axis of a face separates them
     count, other = edges.of_b.shape[0], _swap_sides(sides.row)
     edges_a, edges_b = (
         take_rows(edges.of_a, pairs_of_edges // count),
@@ -161,8 +162,8 @@ def _compute_support_data(f: PolytopeFeatures, sides: _Sides) -> _SupportData:
 def _select_faces_and_corners(
     f: PolytopeFeatures, sides: _Sides, met: _SupportData, least: Array
 ) -> _SelectedFeatures:
-    """The faces of least overlap, and the other's corners that are lowest along them. least: (m),
-    of all faces of both, [P].
+    """The faces of least overlap, and the other body's corners that are lowest along them. least:
+    (m), least overlap over all faces of both, [P].
     """
     faces, beyond = k_smallest(met.overlap, FACE_SLOTS)
     listed = f.planes[:, faces, sides.row[None]]
@@ -171,12 +172,12 @@ def _select_faces_and_corners(
         dot(expand_dims(unstack_vector(listed), 1), expand_dims(met.other_corners, 0))
     )
     excess = heights - jnp.min(heights, axis=1, keepdims=True)
-    nearly = take_rows(met.overlap, faces) - jnp.concatenate([least] * 2)[None]  # no face whose
-    # corners matter so soon
+    nearly = take_rows(met.overlap, faces) - jnp.concatenate([least] * 2)[None]  # excess overlap of
+    # faces, whose corners matter later
     excess = jnp.min(jnp.maximum(excess, nearly[:, None]), axis=0)
     excess = mask_padding(f.counts[1], _swap_sides(sides.row), excess)
     corners, above = k_smallest(excess, max(CORNER_SLOTS, f.face_vertices.shape[0]))
-    # not all its corners
+    # faces without all their corners are excluded
     listed = listed.at[3].set(jnp.where((nearly > 0) & (nearly >= above[None]), jnp.inf, listed[3]))
     return _SelectedFeatures(listed, corners, beyond, above)
 
@@ -184,8 +185,8 @@ def _select_faces_and_corners(
 def _extent_corners(
     f: PolytopeFeatures, sides: _Sides, met: _SupportData, chosen: _SelectedFeatures
 ) -> Vector:
-    """Corners of the other body that tell how far it reaches: those nearest to the contact, and
-    some all around it, for the edges whose arcs look elsewhere, [K, 2 P] x 3 (m) in the own frame.
+    """Corners of the other body that bound its extent: those nearest to the contact, and some all
+    around it, for edges whose arcs point elsewhere, [K, 2 P] x 3 (m) in the own frame.
     """
     around = _transform_other_corners(sides, unstack_vector(f.extreme_vertices[..., sides.row]))
     x, y, z = (
@@ -203,7 +204,7 @@ def _select_edges(
     telling: Vector,
 ) -> _SelectedEdges:
     """The edges of least overlap along their arcs, each of a with each of b. telling: corners [K, 2
-    P] x 3 of the other.
+    P] x 3 of the other body that bound its extent.
     """
     bound = mask_padding(f.counts[2], sides.row, _edge_overlap_bound(f, sides, telling))
     edges, behind = k_smallest(bound, max(EDGE_SLOTS, f.face_vertices.shape[0] + 4))
@@ -226,8 +227,8 @@ def _select_edges(
 def _select_edge_pairs(
     edges: _SelectedEdges, depth: Array, gap: Array, radius_b: Array, swing: Array
 ) -> tuple[Array, Array]:
-    """The couples of edges that count first, [Kc, P] int32, and the way (m) beyond which another
-    may, [P].
+    """The edge pairs that matter first, [Kc, P] int32, and the displacement (m) beyond which
+    another pair may matter, [P].
     """
     low_a, low_b = _split_sides(edges.bound)
     low = jnp.maximum(
@@ -239,8 +240,8 @@ def _select_edge_pairs(
         low,
     )
     crossing = edges.overlap
-    first_least = first_true(crossing <= jnp.min(crossing, axis=0)[None])[None]  # one: of an end on
-    # a wall all of the rim are least
+    first_least = first_true(crossing <= jnp.min(crossing, axis=0)[None])[None]  # a single one: all
+    # edges of a rim can be least
     is_least = (jnp.arange(crossing.shape[0], dtype=jnp.int32)[:, None] == first_least) & (
         crossing < jnp.inf
     )
@@ -254,7 +255,7 @@ def _face_validity_radius(
     radius: tuple[Array, Array],
     swing: Array,
 ) -> Array:
-    """The way (m) beyond which a face, an edge or a corner that was left out may count, [P]."""
+    """Displacement (m) beyond which an omitted face, edge or corner may matter, [P]."""
     left_a, left_b = _split_sides(jnp.minimum(chosen.beyond, edges.behind)[None])
     margin = jnp.minimum(
         _displacement_to_depth(left_a, depth, 1), _displacement_to_depth(left_b, depth, swing[None])
@@ -264,8 +265,8 @@ def _face_validity_radius(
 
 
 def _displacement_to_depth(overlap: Array, depth: Array, rate: Array | int) -> Array:
-    """The way (m) until an overlap may become the depth, [K, P]; rate: by which it changes, over
-    that of the depth.
+    """Displacement (m) until an overlap may become the depth, [K, P]; rate: of change of the
+    overlap, relative to that of the depth.
     """
     return jnp.minimum(overlap, (overlap - depth[None]) / (1 + rate))
 
@@ -278,11 +279,11 @@ def _separation_validity_radius(
     apart: Array,
     swing: Array,
 ) -> Array:
-    """The way (m) for which bodies that are apart are so along a kept axis by their distance, which
-    no other exceeds, [P]; below 0: they need not be now. apart: (m), their distance at most.
+    """Displacement (m) for which separated bodies are at their distance along a kept axis, which no
+    other axis exceeds, [P]; below 0: not guaranteed now. apart: (m), upper bound of their distance.
 
-    Nearest are then two edges, or a corner and the face below it: any corner is further than apart,
-    or above its nearest face.
+    Their nearest features are then two edges, or a corner and the face below it: any other corner
+    is further than ``apart``, or above its nearest face.
     """
     least = jnp.min(met.overlap, axis=0)
     face = first_true(met.overlap == least[None])[None]
@@ -300,8 +301,8 @@ def _separation_validity_radius(
     others = (number < f.counts[0, sides.row][None]) & (number != face)
     inside = jnp.min(jnp.where(others[:, None], inside, jnp.inf), axis=0)
     nearly = least - jnp.concatenate([jnp.minimum(*_split_sides(least[None]))[0]] * 2)
-    is_kept = (nearly <= 0) | (nearly < chosen.above)  # that face, and so the corners that are
-    # lowest along it
+    is_kept = (nearly <= 0) | (nearly < chosen.above)  # whether that face is kept, and so the
+    # corners that are lowest along it
     inside, above = jnp.where(is_kept[None], inside, -jnp.inf), jnp.where(is_kept, chosen.above, 0)
     rate, apart = jnp.concatenate([jnp.ones_like(swing), swing]), jnp.concatenate([apart] * 2)
     ways = jnp.min(
@@ -313,8 +314,8 @@ def _separation_validity_radius(
 def _clip_planes_along_normal(
     f: PolytopeFeatures, sides: _Sides, met: _SupportData, rel: RelativePose
 ) -> tuple[Array, Array]:
-    """``_select_clip_planes`` along the normal of the face of least overlap; the way that is free
-    for both.
+    """``_select_clip_planes`` along the normal of the face of least overlap; the free displacement
+    of both.
     """
     least = jnp.min(met.overlap, axis=0)
     of_a, of_b = _split_sides(least)
@@ -328,37 +329,38 @@ def _clip_planes_along_normal(
     )
     along = _flatten_sides(outward_normals(normal, rel))
     height = fusion_barrier(dot(expand_dims(along, 0), met.corners))
-    base = jnp.min(dot(expand_dims(along, 0), met.other_corners), axis=0)  # where the other begins
+    base = jnp.min(dot(expand_dims(along, 0), met.other_corners), axis=0)  # lowest height of the
+    # other body
     clipping, free = _select_clip_planes(f, sides, height, base)
     return clipping, jnp.minimum(*_split_sides(free))
 
 
 def _split_sides(x: Array) -> tuple[Array, Array]:
-    """[.., 2 P] as those of a and those of b."""
+    """Split [.., 2 P] into those of a and those of b."""
     half = x.shape[-1] // 2
     return x[..., :half], x[..., half:]
 
 
 def _stack_sides(x: Array) -> Array:
-    """[.., 2 P] as [.., 2, P]."""
+    """Reshape [.., 2 P] to [.., 2, P]."""
     return x.reshape(*x.shape[:-1], 2, -1)
 
 
 def _flatten_sides(v: Vector) -> Vector:
-    """Vectors [2, P] as one list, [2 P]."""
+    """Reshape vectors [2, P] to one list, [2 P]."""
     return vector.map_components(lambda c: c.reshape(-1), v)
 
 
 def _swap_sides(x: Array) -> Array:
-    """[.., 2 P] of the other side."""
+    """[.., 2 P] with the sides exchanged."""
     return jnp.concatenate(_split_sides(x)[::-1], axis=-1)
 
 
 def find_support_faces(
     features: PolytopeFeatures, rows: tuple[Array, Array], normal: Vector, rel: RelativePose
 ) -> SupportFaces:
-    """Own faces of pairs, of rows ([P], [P]) of a table, that look most along a normal, [P] x 3,
-    from a to b in a's frame.
+    """Candidate support faces of pairs, of rows ([P], [P]) of a table: own faces most aligned with
+    a normal, [P] x 3, from a to b in a's frame.
     """
     f, row = features, jnp.concatenate(rows)
     along = _flatten_sides(outward_normals(normal, rel))
@@ -376,8 +378,8 @@ def find_support_faces(
 
 
 def outward_normals(normal: Vector, rel: RelativePose) -> Vector:
-    """A normal from a to b, [P] x 3 in a's frame, as it leaves a, and against it as it leaves b in
-    its own frame, [2, P] x 3.
+    """A normal from a to b, [P] x 3 in a's frame, as outward normal of a, and its opposite as
+    outward normal of b in b's frame, [2, P] x 3.
     """
     back = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     x, y, z = (jnp.stack(both) for both in zip(normal, back, strict=True))
@@ -387,9 +389,9 @@ def outward_normals(normal: Vector, rel: RelativePose) -> Vector:
 def overlap_upper_bound(
     features: PolytopeFeatures, rows: tuple[Array, Array], rel: RelativePose, of_parts: bool = False
 ) -> Array:
-    """No less than the smallest overlap along any axis, [P] (m), for little: the smallest along the
-    axes of both bodies' frames and along those of a few steps towards the nearest points (Gilbert
-    1966). of_parts: of what of them has the faces that touch.
+    """Inexpensive upper bound of the smallest overlap along any axis, [P] (m): the smallest along
+    the axes of both bodies' frames and along those of a few steps towards the nearest points
+    (Gilbert 1966). of_parts: use the parts whose faces touch.
     """
     corners = features.part_corners if of_parts else features.corners
     # [V, P] x 3
@@ -417,7 +419,7 @@ def overlap_upper_bound(
 
 
 def _min_axis_overlap(a: Vector, b: Vector) -> Array:
-    """The smallest overlap of points [V, P] x 3 along the axes, [P] (m)."""
+    """The smallest overlap of points [V, P] x 3 along the coordinate axes, [P] (m)."""
     each = [
         jnp.minimum(jnp.max(x, 0) - jnp.min(y, 0), jnp.max(y, 0) - jnp.min(x, 0))
         for x, y in zip(a, b, strict=True)
@@ -432,13 +434,13 @@ def _take_first_point(points: Vector, mask: Array) -> Vector:
 
 
 def _concatenate_sides(a: Vector, b: Vector) -> Vector:
-    """Vectors [P] of a and those of b, [2 P]."""
+    """Concatenate vectors [P] of a and of b, [2 P]."""
     x, y, z = (jnp.concatenate([c, d]) for c, d in zip(a, b, strict=True))
     return x, y, z
 
 
 def _make_sides(rows: tuple[Array, Array], rel: RelativePose) -> _Sides:
-    """Both bodies of each pair."""
+    """Both bodies of each pair as sides."""
     there = vector.transpose(rel.rotation)
     shift = vector.scale(-1, vector.rotate(there, rel.offset))
     x, y, z = (_concatenate_sides(r, s) for r, s in zip(rel.rotation, there, strict=True))
@@ -457,14 +459,14 @@ def _transform_other_corners(sides: _Sides, corners: Vector) -> Vector:
 
 
 def _min_heights(planes: Array, seen: Vector) -> Array:
-    """The lowest along the normals of planes [4, F, P] of points [V, P] x 3, [F, P] (m)."""
+    """The lowest height of points [V, P] x 3 along the normals of planes [4, F, P], [F, P] (m)."""
     return fusion_barrier(
         jnp.min(dot(expand_dims(unstack_vector(planes), 1), expand_dims(seen, 0)), axis=1)
     )
 
 
 def _edge_overlap_bound(f: PolytopeFeatures, sides: _Sides, seen: Vector) -> Array:
-    """A lower bound of the overlap along any normal of each edge's arc on the Gauss map, [E, 2 P]
+    """Lower bound of the overlap along any normal of each edge's arc on the Gauss map, [E, 2 P]
     (m).
     """
     middle, along, _, one, other = unpack_edge(f.edges[..., sides.row])
@@ -482,7 +484,7 @@ def _edge_overlap_bound(f: PolytopeFeatures, sides: _Sides, seen: Vector) -> Arr
 
 def _face_corner_distance(f: PolytopeFeatures, sides: _Sides, met: _SupportData) -> Array:
     """Distance of the other body's nearest vertex from the face of least overlap, [2 P] (m);
-    infinite if it is beside it.
+    infinite for a vertex beside it.
     """
     planes = met.planes
     face = first_true(met.overlap == jnp.min(met.overlap, axis=0)[None])[None]
@@ -507,8 +509,8 @@ def _face_corner_distance(f: PolytopeFeatures, sides: _Sides, met: _SupportData)
 def _select_clip_planes(
     f: PolytopeFeatures, sides: _Sides, height: Array, base: Array
 ) -> tuple[Array, Array]:
-    """Planes of each side's own faces that can cut the other body, [Kc, 2 P], and the way free of
-    the others, [2 P] (m).
+    """Planes of each side's own faces that can cut the other body, [Kc, 2 P], and the free
+    displacement until others can, [2 P] (m).
     """
     faces = f.part_planes.shape[1]
     room = max(f.face_vertices.shape[0] + 2, 8 + int(2 * faces**0.5))

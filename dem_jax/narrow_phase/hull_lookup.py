@@ -1,4 +1,4 @@
-"""Rows of a table of convex polytopes, gathered to pairs."""
+"""Gathering of rows of the hull table to pairs."""
 
 import jax
 
@@ -6,9 +6,9 @@ from dem_jax.types import Array, Hulls
 
 
 def gather_hulls(hulls: Hulls, index: Array, corners: bool) -> Hulls:
-    """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only
-    where asked for, and vertices where they are needed, not of zonotopes; loops and open_edges stay
-    in the table, see ``attach_face_loops``.
+    """Rows of the hull table for pairs, [.., P]. The many face corners are gathered only on
+    request, vertices not for zonotopes; face loops and open_edges stay in the table, see
+    ``attach_face_loops``.
     """
     vertices = None if hulls.is_zonotope else hulls.vertices
     extended = hulls.extended
@@ -27,5 +27,5 @@ def gather_hulls(hulls: Hulls, index: Array, corners: bool) -> Hulls:
 
 
 def attach_face_loops(rows: Hulls, hulls: Hulls) -> Hulls:
-    """Gathered rows with the columns of the table that they came from."""
+    """The gathered rows with the face loops and open edges of their table."""
     return rows.replace(face_loops=hulls.face_loops, open_edges=hulls.open_edges)

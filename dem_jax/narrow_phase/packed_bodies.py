@@ -1,7 +1,7 @@
-"""Parts of pieces and panels of walls as one list of bodies, parts first, so that a contact need
-not know which it has.
+"""Parts of pieces and wall panels in one list of bodies, parts first, so that contacts treat both
+alike.
 
-Everything a contact needs of a body is a column of one array, gathered once per side.
+All data that a contact needs of a body are a column of one array, gathered once per side.
 """
 
 from collections.abc import Sequence
@@ -29,8 +29,8 @@ class BodyState(NamedTuple):
 
 
 def pack_bodies(system: System, state: State, omega: Array, panels: kinematics.WallState) -> Array:
-    """All bodies, [rows, M + W]: of ``BodyState``, one below the other, what any contact of the
-    system needs. omega: [3, N] (rad/s).
+    """All bodies, [rows, M + W]: the rows of ``BodyState`` that any contact of the system needs.
+    omega: [3, N] (rad/s).
     """
     pieces, walls = [state.position, state.velocity, omega], [panels.rows[:9]]
     if _has_residual(state.position):
@@ -52,7 +52,7 @@ def pack_bodies(system: System, state: State, omega: Array, panels: kinematics.W
 
 
 def _pack_parts(system: System, state: State, pieces: Array) -> Array:
-    """The rows of parts, from those of their pieces: the centre is that of the part."""
+    """Rows of parts from those of their pieces; the centre is that of the part."""
     parts = system.parts
     assert parts.centre is not None  # where parts have owners
     c = pieces[:, parts.owner]

@@ -1,19 +1,20 @@
-"""The contact patch as far as friction about its normal needs it: how far from its centroid
-friction acts, on the average.
+"""Moments of the contact patch for friction about its normal: the mean distance from the centroid
+at which friction acts.
 
-With a pressure that is the same all over the patch, that is the mean distance of its points from
-the centroid: 0.3826 a of a square of side a, 2/3 R of a disc, L / 4 of a line. It is found from the
-second moments T of the outline about the centroid, weighted by depth, which come from the same line
-integrals as the centroid itself (``collide``): with
+For uniform pressure over the patch this is the mean distance of its points from the centroid:
+0.3826 a for a square of side a, 2/3 R for a disc, L / 4 for a line. It is computed from the second
+moments T of the outline about the centroid, weighted by depth, which come from the same line
+integrals as the centroid itself (``collision_primitives``): with
 
     s = tr T,    D = the product of the two moments in the plane of the patch,
 
     arm = (sqrt(3) / 2 s - 0.403 sqrt(D)) / sqrt(s).
 
-Of a line that is exact; of rectangles of any sides (0.3 to 1.1 %), regular polygons (2.1 % of a
-triangle, 0.3 % from four corners on) and discs (0.3 %) it is the mean distance to 2.2 %, of patches
-that are long and pointed more (an ellipse of 4 : 1 5 %, an isosceles triangle four times as long as
-high 24 %). Of a point, which is where a corner or two crossing edges touch, it is nothing.
+This is exact for a line. The error is 0.3 to 1.1 % for rectangles of any sides, 2.1 % for a
+triangle and at most 0.3 % for regular polygons with four or more corners, and 0.3 % for discs; for
+these shapes it is the mean distance to within 2.2 %. It is larger for long and pointed patches (5 %
+for an ellipse of 4 : 1, 24 % for an isosceles triangle four times as long as high). It is zero for
+a point, where a corner or two crossing edges touch.
 """
 
 from typing import NamedTuple
@@ -24,9 +25,9 @@ from dem_jax.math import vector
 from dem_jax.math.vector import Matrix, Vector
 from dem_jax.types import Array
 
-LINE_FACTOR = 3**0.5 / 2  # mean distance over root mean square of a line
-ROUND_FACTOR = 0.403  # by which a patch as wide as long has less: between a square (0.4068) and a
-# disc (0.3987)
+LINE_FACTOR = 3**0.5 / 2  # mean over root mean square distance of a line
+ROUND_FACTOR = 0.403  # reduction for a patch as wide as long: between a square (0.4068) and a disc
+# (0.3987)
 
 
 class SecondMoments(NamedTuple):
@@ -41,7 +42,7 @@ class SecondMoments(NamedTuple):
 
 
 def outer_product(a: Vector, b: Vector) -> SecondMoments:
-    """a b^T, of which the sum with others is symmetric."""
+    """a b^T, with the understanding that the sum with other terms is symmetric."""
     return SecondMoments(
         a[0] * b[0], a[1] * b[1], a[2] * b[2], a[1] * b[2], a[2] * b[0], a[0] * b[1]
     )
@@ -54,7 +55,7 @@ def symmetric_product(a: Vector, b: Vector) -> SecondMoments:
 
 
 def add_moments(*terms: SecondMoments) -> SecondMoments:
-    """The sum."""
+    """The sum of moments."""
     return SecondMoments(*(sum(entries[1:], entries[0]) for entries in zip(*terms, strict=True)))
 
 
@@ -80,8 +81,8 @@ def edge_moments(
 
 
 def shift_origin(of: SecondMoments, weight: Array, first: Vector, offset: Vector) -> SecondMoments:
-    """Second moments about another point. first: moments about the old point; offset: of the old
-    point from the new one (m).
+    """Second moments about another point. first: first moments about the old point; offset: of the
+    old point from the new one (m).
     """
     return add_moments(
         of, symmetric_product(vector.add_scaled(first, 0.5 * weight, offset), offset)
@@ -89,7 +90,7 @@ def shift_origin(of: SecondMoments, weight: Array, first: Vector, offset: Vector
 
 
 def rotate_moments(turn: Matrix, of: SecondMoments) -> SecondMoments:
-    """R T R^T."""
+    """Rotated moments R T R^T."""
     rows = (of.xx, of.xy, of.zx), (of.xy, of.yy, of.yz), (of.zx, of.yz, of.zz)
     half = vector.matmul(turn, rows)
     x, y, z = vector.matmul(half, vector.transpose(turn))
@@ -97,19 +98,20 @@ def rotate_moments(turn: Matrix, of: SecondMoments) -> SecondMoments:
 
 
 def discard_oversized(of: SecondMoments, radius: Array) -> SecondMoments:
-    """The moments (m2), none where they are of what is wider than a body: of an overlap within
-    rounding they may be anything.
+    """The moments (m2), or zero if they belong to a patch wider than the body, since moments of an
+    overlap within rounding are arbitrary.
 
-    radius: [P] or [1] (m), of a sphere around the body."""
+    radius: [P] or [1] (m), bounding radius of the body.
+    """
     return scale_moments((of.xx + of.yy + of.zz <= radius * radius).astype(of.xx.dtype), of)
 
 
 def friction_arm(of: SecondMoments) -> Array:
-    """Arm of friction about the normal (m), [P], of patches with second moments (m2) about their
+    """Arm of friction about the normal (m), [P], for patches with second moments (m2) about their
     centroid, for a weight of 1.
 
-    0 of a point. The second invariant is the product of the moments in the plane, as a patch has
-    none across it.
+    It is 0 for a point. The second invariant is the product of the moments in the plane, as a patch
+    has no extent across it.
     """
     trace = of.xx + of.yy + of.zz
     minors = (

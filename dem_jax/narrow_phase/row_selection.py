@@ -1,5 +1,5 @@
-"""The few of many features of each pair that are nearest to counting: rows of tables [K, P], a
-column for each pair.
+"""Selection of a few rows of tables [K, P], with a column for each pair, such as the features
+nearest to a contact.
 """
 
 import jax
@@ -9,8 +9,8 @@ from dem_jax.types import Array
 
 
 def k_smallest(keys: Array, room: int) -> tuple[Array, Array]:
-    """Rows of the ``room`` smallest of the keys [K, P] in ascending order of rows, [room, P] int32,
-    and the smallest of the others, [P]; of equal keys the first.
+    """Rows of the ``room`` smallest keys of [K, P] in ascending order of rows, [room, P] int32, and
+    the smallest of the other keys, [P]; among equal keys the first.
     """
     count = keys.shape[0]
     if count <= room:
@@ -33,8 +33,8 @@ def k_smallest(keys: Array, room: int) -> tuple[Array, Array]:
 
 
 def _sort_ascending(rows: Array) -> Array:
-    """Distinct numbers [K, P] in ascending order along the first axis. (XLA makes no one function
-    of a loop that sorts.)
+    """Distinct numbers [K, P] in ascending order along the first axis. (XLA does not make a loop
+    with a sort one function.)
     """
     rank = jnp.sum(rows[:, None] > rows[None], axis=1, dtype=jnp.int32)
     place = jnp.arange(rows.shape[0], dtype=jnp.int32)[:, None, None]
@@ -42,13 +42,13 @@ def _sort_ascending(rows: Array) -> Array:
 
 
 def mask_padding(count: Array, row: Array, keys: Array, none: float = jnp.inf) -> Array:
-    """Keys [K, P] of a shape's own entries, ``none`` for entries that its table repeats."""
+    """Keys [K, P] of a shape's own entries, and ``none`` for the padding of its table."""
     number = jnp.arange(keys.shape[0], dtype=jnp.int32)[:, None]
     return jnp.where(number < count[row][None], keys, none)
 
 
 def take_rows(rows: Array, index: Array) -> Array:
-    """rows [K, P] at index [.., P] of each P."""
+    """Entries of rows [K, P] at index [.., P], for each P."""
     return rows.at[index, jnp.arange(rows.shape[1], dtype=jnp.int32)].get(mode="promise_in_bounds")
 
 

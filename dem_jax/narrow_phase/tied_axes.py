@@ -1,15 +1,16 @@
-"""The normal of contacts in which several separating axes overlap equally: of an edge or a corner
-that meets another head on.
+"""Normals of contacts with several equally overlapping separating axes, such as of an edge or
+corner that meets another head on.
 
-The smallest overlap says nothing of a direction then: rounding picks one of the tied axes anew in
-each step, pieces leave sideways, and friction along a normal that goes to and fro takes most of the
-energy. Where axes tie to rounding as a contact begins, its normal is the sum of all that are nearly
-least for as long as it lasts,
+The smallest overlap does not determine a direction then: rounding selects a different tied axis in
+each step, pieces leave sideways, and friction along an oscillating normal takes most of the energy.
+If axes tie to rounding when a contact begins, its normal for its whole duration is the sum of all
+axes of nearly least overlap,
 
     n ~ sum w_i n_i,    w_i = max(0, 1 - (d_i - d - slack) / (BAND d))^2,
 
-and its depth the overlap along it: both change continuously as the contact goes over to one of the
-axes. A contact of a face never is one, as all axes that tie there are its normal.
+and its depth is the overlap along this normal: both change continuously as the contact moves over
+to one of the axes. A face contact never has tied axes in this sense, as all axes that tie there are
+its normal.
 """
 
 from collections.abc import Callable
@@ -22,25 +23,25 @@ from dem_jax.math import vector
 from dem_jax.math.vector import Vector
 from dem_jax.types import Array, ContactHistory, PairConstants, System
 
-BLEND_BAND = 2.0  # of the depth, by which an axis may overlap more and still count
-APART_TOLERANCE = 1e-4  # one minus the length of the mean of the tied normals: less, and they are
-# one
+BLEND_BAND = 2.0  # of the depth: excess overlap up to which an axis contributes
+APART_TOLERANCE = 1e-4  # one minus the length of the mean of the tied normals, below which they
+# count as one
 
 Separation = tuple[Array, Vector, Array]
 
 
 class CandidateAxes(NamedTuple):
-    """Separating axes of pairs."""
+    """Candidate separating axes of pairs."""
 
     overlaps: Array  # [k, P] (m)
     axes: Array  # [3, k, P]: unit, from a to b
-    slack: Array  # [P] (m): what rounding may leave of a difference of two overlaps
+    slack: Array  # [P] (m): rounding error of a difference of two overlaps
     overlap: Callable[[Array], Array]  # (m), [1, P], along unit axes [3, 1, P]
 
 
 def blend_tied_normals(of: CandidateAxes, depth: Array) -> tuple[Array, Vector, Array]:
-    """Whether axes tie, [P] bool; the unit normal, [P] x 3, and the depth along it (m), [P], if
-    they do. depth: of any axis.
+    """Whether axes tie, [P] bool, and for tied axes the unit normal, [P] x 3, and the depth along
+    it (m), [P]. depth: smallest overlap of any axis.
     """
     least = jnp.min(of.overlaps, axis=0)
     beyond = jnp.maximum(of.overlaps - (least + of.slack)[None], 0)
@@ -61,10 +62,11 @@ def resolve_ties(
     found: Separation,
     axes: Callable[[], CandidateAxes],
 ) -> tuple[Array, Separation]:
-    """Which contacts are of tied axes, [P]: 1, else 0, and what separates the bodies, as it was
-    found but for those.
+    """Flags of contacts with tied axes, [P]: 1, else 0, and the separation of the bodies, changed
+    only for those contacts.
 
-    found: ``collide.Separation``: depth (m), [P], normal, [P] x 3, and depth along it (m).
+    found: ``collision_primitives.Separation``: depth (m), [P], normal, [P] x 3, and depth along it
+    (m).
     """
     assert memory.tied is not None
     depth, normal, along = found
