@@ -124,7 +124,7 @@ def fit_cell(
 
     Args:
         oscillations: of the empty bucket and, unless its mass is given, of the bucket with one load
-        or several.
+            or several.
         interval: (s) between samples.
         mass: (kg) of the empty bucket, where it is known.
 

@@ -85,8 +85,8 @@ def cut_signals(
     Args:
         signals: of one sample interval.
         m_piece: (kg) weight of a piece.
-        pieces: one number for all portions, or one for each. Default: from their weights. weights:
-        [K] (kg). Default: from the ends of the signals.
+        pieces: one number for all portions, or one for each. Default: from their weights.
+        weights: [K] (kg). Default: from the ends of the signals.
 
     Raises:
         BadInput: one line.

@@ -56,7 +56,7 @@ def read_table(path: Path, options: TableOptions | None = None) -> CsvTable:
 
     Args:
         path: of a table with any separator, decimal sign and header, or of a LabVIEW measurement
-        (.lvm).
+            (.lvm).
         options: units, signs and times that the table lacks.
 
     Returns:

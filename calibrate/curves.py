@@ -95,7 +95,7 @@ def load_cell(
     Args:
         curves: forces of K portions.
         frequency: (Hz) of the undamped cell, with the bucket on it; the portion's own mass on it is
-        neglected.
+            neglected.
         damping: ratio to the critical damping.
     """
     rate = 2.0 * np.pi * frequency

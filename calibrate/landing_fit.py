@@ -132,14 +132,14 @@ def fit_landings(
 
     Args:
         traces: list of `Target`, at least LEAST_TRACES, every third of which is kept for the
-        judgement.
+            judgement.
         start: start values of any parameters; the others from the fit of the paper's model and the
-        stock scene.
+            stock scene.
         models: names of MODELS that are tried, the smallest first.
         align: of the paper's fit.
         simulations: simulated portions of a step.
         bootstrap: number of refits for the intervals, at least LEAST_REFITS, or 0 for none. Each
-        takes a quarter of the fit.
+            takes a quarter of the fit.
         seed: of all random numbers.
         progress: called with (name of the stage, done, total).
         force: also fit traces that are not plausible as they were read.

@@ -96,7 +96,7 @@ def fit_signals(
         pieces: number of pieces of all portions or of each. Default: the weight over m_piece.
         weights: [K] (kg) of the portions. Default: from the ends of the signals.
         cell: start values of the load cell, which the fit may change. Default: a guess from how it
-        rings.
+            rings.
         progress: called with (name of the stage, done, total).
 
     Returns:

@@ -135,16 +135,16 @@ def read(
 
     Args:
         path: an HDF5 file with a run, or an ensemble with a leading run axis, in the layout of the
-        discrete element runs; or a table of any program as text, or a LabVIEW measurement
-        (`csv_table`).
+            discrete element runs; or a table of any program as text, or a LabVIEW measurement
+            (`csv_table`).
         m_piece: (kg) of one piece. Default: from the file, but tables have none; the mean where
-        pieces differ.
+            pieces differ.
         pieces: number of pieces of all traces, or of each. Default: from the file, but tables have
-        none.
+            none.
         group: wall group of an HDF5 file whose mean force is read. Default: wb_flaps, or the only
-        one there is.
+            one there is.
         tell: called with one line on how a table was understood, or by how much the pieces of a
-        file differ in weight.
+            file differ in weight.
         table: properties that a table lacks itself, such as its units.
         tare: whether the mean force before the first impact is subtracted from each trace.
 

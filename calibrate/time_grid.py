@@ -23,7 +23,7 @@ def even_times(time: np.ndarray, decimals: int, at: Callable[[int], tuple[str, s
 
     Raises:
         BadInput: times that go back, that repeat although their digits would tell them apart, or
-        with gaps.
+            with gaps.
     """
     steps = np.diff(time)
     if len(time) < 3 or (steps > 0).all() and np.ptp(steps) <= EVEN * steps.mean():

@@ -60,7 +60,7 @@ def write_compiled_fmu(
     Args:
         path: of the unit, ending in .fmu.
         params: parameters that a tool may change before it begins; `sample` is the step that it
-        takes by default.
+            takes by default.
         seed: start value of the parameter `seed`.
         overwrite: replace a file that exists.
         fmi: "2" or "3".

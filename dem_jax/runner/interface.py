@@ -46,8 +46,7 @@ def simulate(
             (text) and the share that is done.
         quantities: quantities to sample in addition to those of dem_jax.
         law: a contact law (``dem_jax.contact_laws``) instead of the scene's; ``info["law"]`` in the
-        file
-            contains the name of its type.
+            file contains the name of its type.
 
     Returns:
         The run: sampled series [T, ..] in SI units, stored poses, metadata.
@@ -56,7 +55,8 @@ def simulate(
         SceneError: the scene cannot be used.
         RecordError: the file cannot be written.
         SimulationError: the run had to stop; earlier results are saved, or in its attribute
-        ``run``. ValueError: a quantity does not fit its axes.
+            ``run``.
+        ValueError: a quantity does not fit its axes.
     """
     return run_job(prepare_job(scene, (seed,), None, quantities, law), out, overwrite, progress)
 
@@ -99,12 +99,11 @@ def ensemble(
         quantities: quantities to sample in addition to those of dem_jax.
         law: a contact law instead of the scene's.
         parameters: keys of the scene, such as ``"material.restitution"``, each with one value per
-        run, or with a
-            distribution of ``scipy.stats`` (sampled with the first seed). All keys are permitted
-            that leave the compiled program unchanged. ``run.parameters`` contains the values.
+            run, or with a distribution of ``scipy.stats`` (sampled with the first seed). All keys
+            are permitted that leave the compiled program unchanged. ``run.parameters`` contains the
+            values.
         uncertain: give each run its own values of the scene's uncertain numbers (``[[uncertain]]``,
-        which
-            products bring with them), drawn from their ranges with the first seed. Keys in
+            which products bring with them), drawn from their ranges with the first seed. Keys in
             ``parameters`` are not drawn, and the number of pieces is that of the scene.
 
     Returns:

@@ -74,23 +74,20 @@ def rollout(
     Args:
         scene: a Scene, or a name or path that ``load_scene`` accepts.
         parameters: dotted keys of the scene, as for ``Scene.replace``, each with a number or an
-        array, also a
-            traced one: materials, pairs, motions of walls, load cell, gravity, drop height, and
-            position, orientation and velocities of listed pieces.
+            array, also a traced one: materials, pairs, motions of walls, load cell, gravity, drop
+            height, and position, orientation and velocities of listed pieces.
         seed: seed of the initial arrangement of a portion.
         quantities: quantities to sample in addition to those of dem_jax.
         checkpoint: reverse mode keeps the state only at every rebuild (``run.rebuild_steps``) and
-        recomputes the
-            steps between, which takes 1.2 to 1.5 times as long to compile and up to 1.4 times to
-            run. By default only if the states of all steps would take more than 1 GiB.
+            recomputes the steps between, which takes 1.2 to 1.5 times as long to compile and up to
+            1.4 times to run. By default only if the states of all steps would take more than 1 GiB.
 
     Returns:
         The sampled series as JAX arrays.
 
     Raises:
         SceneError: the scene or a parameter cannot be used; the message lists the permitted keys.
-        Numbers have
-            the limits that they have in a scene; traced values have none.
+            Numbers have the limits that they have in a scene; traced values have none.
     """
     scene = assembly.inline_files(scene if isinstance(scene, Scene) else load_scene(scene))
     built = build_for_tracing(scene, seed)

@@ -47,7 +47,7 @@ def cut_into_convex_parts(
         concavity: CoACD's threshold, as fraction of the size.
         most: largest number of parts.
         corners: largest number of corners of a part; None: CORNERS of all parts together, but
-        FEWEST to MOST in each.
+            FEWEST to MOST in each.
         name: of the file, for messages.
 
     Raises:

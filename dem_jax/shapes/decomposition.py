@@ -98,17 +98,17 @@ def decompose_mesh(
         path: of the STL.
         unit: metres per unit of the file.
         concavity: at which a part is cut further, as fraction of the size (CoACD's threshold, 0.01
-        to 1).
+            to 1).
         max_parts: largest number of parts; where there are more, those are joined that cost least.
-        Compile time is proportional to the number of parts.
+            Compile time is proportional to the number of parts.
         loss: the largest fraction by which the parts' volume may differ from the mesh's, and the
-        largest distance between the surfaces over the size.
+            largest distance between the surfaces over the size.
         max_corners: largest number of corners of a part; one of more is simplified. None: 256 in
-        all parts together, but 16 to 32 in each.
+            all parts together, but 16 to 32 in each.
 
     Raises:
         SceneError: for a file that is missing, unreadable or open, values out of range, a larger
-        loss than allowed, more than two minutes of cutting, and where CoACD is not installed.
+            loss than allowed, more than two minutes of cutting, and where CoACD is not installed.
     """
     concavity = require_positive("concavity", concavity, "a number from 0.01 to 1")
     if not 0.01 <= concavity <= 1.0:

@@ -106,7 +106,7 @@ def extend_panel(panel: Shape, across: np.ndarray, reach: float, planes: np.ndar
         across: [m, 3] unit normals of its sides at seams.
         reach: (m) by which the panel continues beyond these sides.
         planes: [k, 4] outward normals and offsets (m) of neighbours beyond convex seams, which end
-        it.
+            it.
     """
     if not len(across):
         return panel

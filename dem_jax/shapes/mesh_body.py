@@ -45,7 +45,7 @@ def read_body(path: str | Path, unit: float = 1.0) -> MeshBody:
 
     Raises:
         SceneError: for a file that is missing or unreadable, a mesh that cannot be mended, and
-        bodies that do not touch.
+            bodies that do not touch.
     """
     unit = require_length("unit", unit)
     mesh, done = repair_mesh(read_stl(path), path)

@@ -33,7 +33,7 @@ def repair_mesh(mesh: "trimesh.Trimesh", source: str | Path) -> tuple["trimesh.T
 
     Raises:
         SceneError: for a mesh that stays open, with numbers (from 0, as in the file) and place of
-        the facets.
+            the facets.
     """
     import trimesh
 

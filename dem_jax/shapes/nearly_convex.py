@@ -44,7 +44,7 @@ def read_hull_shape(
         path: of the STL.
         unit: metres per unit of the file (1e-3 for mm).
         tolerance: largest fraction by which the hull's volume may exceed that inside the outer
-        surface.
+            surface.
 
     Raises:
         SceneError: as ``read_body``, and for a body that is not convex within the tolerance.

@@ -226,9 +226,9 @@ def find_neighbours(
     Args:
         panels: of one wall group, each [k, 3] (m), counter-clockwise about its normal.
         largest_bend: (rad) largest angle between the normals of two panels that continue each
-        other.
+            other.
         tolerance: (m) distance within which two edges are one; by default 1e-4 of the largest
-        panel's size.
+            panel's size.
 
     Returns:
         Lists [panels][k] of panel numbers. Edges that overlap only in part count.

@@ -30,8 +30,8 @@ def run_study(
     Args:
         source: a Study, the name of a stock study, or the path of a TOML file.
         out: HDF5 file, which is kept up to date. A file with a part of the same study is resumed
-        and ends with the same bits; any other is an error unless overwrite. Drops that take minutes
-        are kept beside it in ``OUT.batch`` while they are computed.
+            and ends with the same bits; any other is an error unless overwrite. Drops that take
+            minutes are kept beside it in ``OUT.batch`` while they are computed.
         overwrite: replace a file that holds something else.
         progress: whether to show a bar.
         quick: apply the changes of the study's [quick].

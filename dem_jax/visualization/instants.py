@@ -31,7 +31,7 @@ def find_impact_instants(run: Run, group: str | None = None) -> list[Instant]:
     Args:
         run: a single run.
         group: wall group whose force decides; by default the weigh bucket's flaps, or the group
-        with the largest peak.
+            with the largest peak.
 
     Returns:
         Start of the run, approach, first contact of the impact, peak force, and rest (or the end of

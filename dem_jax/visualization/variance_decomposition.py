@@ -135,7 +135,7 @@ def split_variance(
 
     Args:
         drawn: [K, d] probabilities of the numbers of each run, from 0 to 1, independent of each
-        other.
+            other.
         names: [d] of the numbers.
         answer: [K] values; those that are nan are left out.
         degrees: of the polynomials; the first is taken for which there are enough values.
