@@ -20,7 +20,7 @@ from calibrate.targets import ALIGNMENTS, Target, rebin
 from product_model.grid import Grid
 
 LAGS = (2, 3, 5, 8, 12, 18, 28)  # bins; a pulse of the start value is about 8 bins long
-FLOOR = 1e-4  # m, least spread of drop heights that is told from none
+FLOOR = 1e-4  # m, least spread of drop heights that differs from none
 
 
 def bin_length(targets: list[Target], bin_length: float | None = None) -> float:

@@ -11,7 +11,7 @@ from calibrate.unconstrained import ModelParameters
 from product_model import Landings, simulate
 from product_model import parameters as inputs
 
-ALARM = 0.05  # p-value below which the model is said not to describe the traces: one false alarm in
+ALARM = 0.05  # p-value below which the model does not describe the traces: one false alarm in
 # twenty fits
 SETS = 1999  # data sets of a check; its least p-value, 1/2000, times five blocks and checks is far
 # below ALARM

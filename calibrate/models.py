@@ -74,7 +74,7 @@ PAPER_ROWS = {  # name -> symbol, words, unit, factor
     "gamma_high": ("γ_high", "largest spread of the drop heights in a portion", "mm", 1e3),
     "h_mean": ("h_mean", "mean drop height", "mm", 1e3),
 }
-PAPER_TESTS = {  # p-value of `goodness` -> what it compares
+PAPER_TESTS = {  # p-value of `goodness` -> the compared quantity
     "height": "mean drop height",
     "spread": "spread of the landing times",
     "increments": "steepness of the force (length of the pulses)",

@@ -27,7 +27,7 @@ SWING = 0.5  # of the weight: how far below zero a force may swing
 HEIGHTS = (1e-3, 10.0)  # m, of a mean drop height
 PULSES = (1e-6, 0.1)  # s, of the pulse of a piece
 WIDEST = 2.0  # of h_mean: gamma_high
-UNITS = {  # ratio of what is read to what is meant: why
+UNITS = {  # ratio of the read value to the intended one -> reason
     1 / 9.81: "kilograms read as newtons",
     9.81: "newtons read as kilograms",
     1e-3: "kilonewtons read as newtons, or kilograms as grams,",

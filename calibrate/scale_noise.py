@@ -17,7 +17,7 @@ LEAST_SAMPLES = 60
 LAGS = 100
 FREQUENCIES = np.geomspace(3.0, 100.0, 30)  # Hz
 DECAYS = np.geomspace(0.005, 0.5, 14)  # s
-LEAST_WHITE = 0.05  # g: what a model of one line leaves out, and quantization
+LEAST_WHITE = 0.05  # g: noise outside a model of one line, and quantization
 
 
 class ScaleNoise(NamedTuple):

@@ -28,14 +28,14 @@ from calibrate.signal_statements import ROUGH_FIT, describe, find_absurd
 from calibrate.uncertainty import ProgressCallback
 from product_model.model import GRAVITY
 
-ORDER = 16  # of the filter that whitens what is left
+ORDER = 16  # of the filter that whitens the residual
 FIRST_NOISE = 1e-4  # kg, before anything is known
 PULSES = (0.3, 1.5, 6.0)  # sample intervals: lengths that the search starts from
 QUICK = 10  # steps of a search that only tells which start is better
 FEW = 8  # portions that such a search looks at
 ROUGH = 2.0  # times the median of the sums of squares: a portion that is started anew
 WHITENINGS = 2
-SMALL = 5e-3  # of what the cell shows beside the weight: a residual that is no larger is small
+SMALL = 5e-3  # of the reading less the weight: a residual that is no larger is small
 UNEQUAL = 0.1  # standard deviation of the weights of pieces that differ, before anything is known
 WEIGHT_ERROR = 3e-4  # relative, of weights that are given
 MASS_DOUBT = 2.0  # 1/kg

@@ -23,7 +23,7 @@ DAMPING_GUESS = 0.03
 MASS_GUESS, MASS_SD = 1.0, 1.0  # 1/kg of the bucket, before anything is known
 # s before the onset that do not count for the tare, as the first of many small pieces may land then
 GUARD = 0.03
-QUIET_SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.3, 0.2, 0.1)  # of what is before the first impact
+QUIET_SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.3, 0.2, 0.1)  # of the time before the first impact
 LEAST_QUIET = 24  # samples
 QUIET = 1.5  # times the least rms
 FREQUENCY_ERROR = 3e-3  # relative, of the frequency that a single signal tells

@@ -14,10 +14,8 @@ if TYPE_CHECKING:
 
 HEIGHTS = (0.02, 2.0)  # m, of a mean drop height
 FALL = 1.0  # times the fall time: pulses that are longer
-UNLIKE = 0.3  # of what the cell shows beside the weight: with a larger residual nothing is
-# described times the noise at rest: a residual that says that the model does not describe the
-# signals
-ROUGH_FIT = 1.5
+UNLIKE = 0.3  # of the reading less the weight: a larger residual shows that the fit has failed
+ROUGH_FIT = 1.5  # times the noise at rest: residual of a model that does not describe the signals
 
 
 def find_absurd(fit: "SignalFit") -> list[str]:

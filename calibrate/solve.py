@@ -41,8 +41,8 @@ FINEST = 4e-4  # of ln dt_impact
 # reach of the first round of a fit and of refits: first step of Adam, half interval of ln dt_impact
 FAR, NEAR = (0.2, 3.0), (0.05, 0.05)
 LEAST_REACH = 0.01
-EXPECTED = 0.4  # times 1/sqrt(traces): four standard deviations of what the two columns of
-# increments differ by, in ln dt_impact
+EXPECTED = 0.4  # times 1/sqrt(traces): four standard deviations of the difference between the two
+# columns of increments, in ln dt_impact
 SCANNED = 32  # simulated portions of the coarse scan for the first guess
 
 

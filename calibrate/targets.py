@@ -20,7 +20,7 @@ ALIGNMENTS = ("release", "first-impact")
 HDF5 = b"\x89HDF\r\n\x1a\n"
 GROUP = "wb_flaps"
 ONSET = 0.02  # share of the largest force at which a trace is taken to begin: its first impact
-QUIET = 8  # samples before the first impact from which the zero of a trace is told
+QUIET = 8  # samples before the first impact that give the zero of a trace
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ FIELDS = (
     "start",
     "smooth_width",
 )  # the doubles of product_model_parameters, in its order
-EXAMPLE_CAPACITY = 256  # pieces for which there is always room
+EXAMPLE_CAPACITY = 256  # pieces, least capacity
 README = """The Product Model in C99, written by product-impact {version}: {pieces} pieces of {mass:g} g, {precision}, form {form}.
 {model}
 

@@ -29,7 +29,7 @@ COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-Wno-unused-parameter")
 SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}
 PROCESSORS = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
-CAPACITY = 1024  # pieces of a portion for which there is always room
+CAPACITY = 1024  # pieces of a portion, least capacity
 
 
 def find_compiler() -> str | None:

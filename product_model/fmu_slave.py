@@ -33,8 +33,8 @@ def released_once(library: Path) -> None:
     then set to nothing by the library's destructor, which writes into memory that is free by then
     and sometimes aborts the process.
     """
-    if sys.platform.startswith("linux") and sys.orig_argv:  # a process of Python's own, which runs
-        # what is registered here
+    if sys.platform.startswith("linux") and sys.orig_argv:  # a process of Python itself, which runs
+        # functions registered here
         with suppress(OSError):
             atexit.register(
                 ctypes.CDLL(str(library), os.RTLD_NOW | os.RTLD_NOLOAD).finalizePythonInterpreter

@@ -14,10 +14,9 @@ from typing import Any, NoReturn
 PROGRAMS = ("product_model", "calibrate")  # this package's own, and the one built on it
 BAD_INPUT, INTERRUPTED = 2, 130
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # that end a
-# program: what they do to it
-SAVING = 5.0  # s at most, to save what was computed
-PATIENCE = 0.5  # s that an interrupted program waits for its standard output to take what was
-# printed
+# program: words for the message
+SAVING = 5.0  # s at most, to save results
+PATIENCE = 0.5  # s that an interrupted program waits until its standard output is written
 
 _unfinished: set[Path] = set()  # temporary files that an interrupted program removes
 _savers: list[Callable[[], str | None]] = []  # called when a program is interrupted

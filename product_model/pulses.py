@@ -181,6 +181,6 @@ def ramp_changes(bins: jax.Array, parts: jax.Array, samples: int) -> jax.Array:
     also before the first.
     """
     second = jnp.zeros(samples, parts.dtype).at[jnp.maximum(bins, 0)].add(parts, mode="drop")
-    risen = jnp.sum(-jnp.minimum(bins, 0).astype(parts.dtype) * parts)  # what a ramp has risen by
-    # before the first sample
+    risen = jnp.sum(-jnp.minimum(bins, 0).astype(parts.dtype) * parts)  # height of ramps before the
+    # first sample
     return cumulative_sum(second).at[0].add(risen)

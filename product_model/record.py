@@ -25,8 +25,8 @@ FileName = str | PathLike[str]
 GROUP = "wb_flaps"  # wall group whose force this is in the discrete element model
 BLOCK = "wb"  # block whose settled mass it is
 SUFFIXES = (".h5", ".hdf5", ".csv", ".mat")
-FORM = ("v108", "v108")  # of HDF5: older ones do not check what says where data are, and reading
-# damaged ones may never end
+FORM = ("v108", "v108")  # of HDF5: older formats do not check the indices of data, and reading
+# damaged files may never end
 
 
 def check_output(path: FileName, overwrite: bool = False) -> Path:

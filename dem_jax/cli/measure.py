@@ -161,8 +161,8 @@ def _write_into(path: Path, own: dict) -> None:
 
     tree = {}
     if path.exists():
-        read_library_file(path, "--into", FILE_SECTIONS[PRODUCTS])  # which says what is wrong with
-        # it
+        read_library_file(path, "--into", FILE_SECTIONS[PRODUCTS])  # raises an error that explains
+        # the defect
         tree = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     kept = {section: dict(tree.get(section, {})) for section in ("material", "evidence")}
     for key in own["evidence"]:

@@ -125,7 +125,7 @@ def check_destination(path: FileName, overwrite: bool = False) -> None:
         raise RecordError(
             f"{path} cannot be written: there is no folder {str(Path(path).parent)!r}"
         )
-    with suppress(OSError):  # such as of a name that is too long, which is said below
+    with suppress(OSError):  # such as for a name that is too long, which is reported below
         if place.exists() and not (overwrite and place.is_file()):
             allowed = (
                 "another name, or overwrite=True to replace it"
@@ -201,7 +201,7 @@ def lock_file(path: FileName) -> Iterator[None]:
     except BlockingIOError as error:
         raise RecordError(f"{path} cannot be written: {WRITTEN_ELSEWHERE}") from error
     except OSError:  # no folder for locks, or a file system without: ``read_fingerprint`` still
-        # tells what another process did
+        # detects changes by another process
         pass
     try:
         yield

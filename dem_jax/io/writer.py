@@ -47,10 +47,9 @@ from dem_jax.io.header import RunHeader, read_header, write_header
 if TYPE_CHECKING:
     import h5py
 
-PENDING_LIMIT = 256 * 2**20  # bytes of samples kept in memory before a flush is due whatever it
-# costs
+PENDING_LIMIT = 256 * 2**20  # bytes of samples in memory, above which a flush is due at any cost
 COPY_BYTES = 2**24  # bytes at a time
-FORMAT_BOUNDS = ("v108", "v108")  # of HDF5: before 1.8 no attribute has room for the seeds of more
+FORMAT_BOUNDS = ("v108", "v108")  # of HDF5: before 1.8 an attribute cannot hold the seeds of more
 # than 8000 runs
 
 

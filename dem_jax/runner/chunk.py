@@ -44,7 +44,7 @@ class KnownResults(NamedTuple):
     """Results of an ensemble's chunk that need not be computed again."""
 
     is_complete: np.ndarray  # [runs] bool: whether a run outgrew nothing
-    results: ComputedChunk  # of all runs; the state with the room that the others need
+    results: ComputedChunk  # of all runs; the state has the capacities that the others need
 
 
 class Chunk(NamedTuple):

@@ -15,7 +15,7 @@ from dem_jax.runner.job import Job
 from dem_jax.runner.progress import Progress
 from dem_jax.types import Sample, State, System
 
-MOST_ATTEMPTS = 12  # to find room for a chunk
+MOST_ATTEMPTS = 12  # to find sufficient capacities for a chunk
 LOG = logging.getLogger(__name__)
 
 

@@ -23,7 +23,7 @@ from dem_jax.runner.uncertain_draws import draw_uncertain_numbers
 from dem_jax.scene import Scene, load_scene, parse_scene
 
 FileName = str | Path
-MOST_RUNS = 10**6  # of an ensemble: beyond, setting it up takes more room than there is
+MOST_RUNS = 10**6  # of an ensemble: more need too much memory for their setup
 
 
 def simulate(

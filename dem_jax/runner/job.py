@@ -37,8 +37,9 @@ class Job:
     samples_kept: int = 0  # already in the file
     frames_kept: int = 0
     notes: tuple[str, ...] = ()  # already in the file
-    reruns: tuple[str, ...] = ()  # likewise: which chunks needed more room, and why
-    slow: bool = True  # all since the rule was last looked at
+    reruns: tuple[str, ...] = ()  # already in the file: chunks that needed larger capacities, and
+    # the reasons
+    slow: bool = True  # all pieces, since the last check of the rule
     clock: Clock = field(default_factory=Clock)
 
     @property

@@ -48,8 +48,8 @@ def prepare_job(
     check_varied_keys(written, parameters or (), written.name)
     scene = assembly.inline_files(written)
     aside = bucket_fill.check_buckets_meet(written, scene)
-    with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at
-        # what comes out
+    with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # the assembly
+        # checks its results
         scenes = parameter_sweep.build_run_scenes(scene, parameters, len(seeds))
         distinct = {id(s): s for s in scenes}
         reuse = assembly.AssemblyCache()

@@ -19,8 +19,8 @@ from dem_jax.types import System
 
 Values = Mapping[str, Any]  # dotted key of a scene -> a value for each run, or a distribution of
 # scipy.stats
-FIXED_SECTIONS, VARIABLE_RUN_KEY = ("run", "name", "base"), "run.step"  # what holds for the whole
-# ensemble, but for this
+FIXED_SECTIONS, VARIABLE_RUN_KEY = ("run", "name", "base"), "run.step"  # sections that are the same
+# in the whole ensemble, except this key
 FILE_KEYS = ("stl", "flap_stl", "table", "unit", "rotate_deg", "move")  # keys of a file and of how
 # it is read
 

@@ -17,7 +17,7 @@ from dem_jax.types import State, System
 EXECUTABLES: dict[Any, Callable[..., Any]] = {}  # by the form of their arguments, the one used last
 # at the end
 MOST_EXECUTABLES = 8  # programs, each of which takes 75 to 100 MB
-LOCK = threading.Lock()  # of KEPT
+LOCK = threading.Lock()  # of EXECUTABLES
 
 FAST_COMPILE_SLOTS = 256  # see ``needs_fast_compile``
 RunChunk = Callable[..., Any]  # such as stepping.run_chunk

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 SCREEN_INTERVAL, LOG_INTERVAL = 0.5, 5.0  # (s) between two looks of the bar: on a screen, in a log
 
 
-ProgressCallback = Callable[[str, float], object]  # is told of progress: what is being done, and
-# the share that is done
+ProgressCallback = Callable[[str, float], object]  # called with a description of the work, and its
+# finished share
 
 
 class Progress:

@@ -18,7 +18,7 @@ from dem_jax.io import series
 from dem_jax.io.header import RunHeader, StoredQuantity
 from dem_jax.types import State, System
 
-LEAST_CAPACITY = 8  # pairs that files of before have room for, of one too
+LEAST_CAPACITY = 8  # pairs: least capacity in files of former versions, even for one pair
 OPTIONAL_PATHS = ("motion/orientation_rest",)  # missing in older files, where it was 0
 
 

@@ -114,8 +114,8 @@ class FileSink:
             if self._writer is not None and not isinstance(error[1], RecordError):
                 self._writer.flush()
         finally:
-            self._held.__exit__(*error)  # which is told of an interrupt, so that the last line says
-            # where the results are
+            self._held.__exit__(*error)  # gets the interrupt, so that the last line names the file
+            # of the results
 
     def _save_interrupted(self) -> str | None:
         """Save the samples of an interrupted process; returns where they are, in words."""

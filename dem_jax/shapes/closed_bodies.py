@@ -21,7 +21,7 @@ RAY_START = 1e-6  # of the size: where a ray begins below the facet that it is c
 SHEET_THICKNESS = 0.03  # of the size: a closed surface that looks inwards and holds less, as 2
 # volume / area, is a sheet inside out
 MOST_FACETS = 1000  # from which rays are cast, four each; of more, those evenly spaced in the file
-RAY_INSET = 0.2  # of the way from a corner of a facet to its middle, at which a ray is cast as well
+RAY_INSET = 0.2  # from a corner of a facet to its middle: place of a further ray
 
 
 class ClosedBodies(NamedTuple):

@@ -16,12 +16,12 @@ from dem_jax.shapes.union_mass import face_planes
 
 NEAR_TOLERANCE = 1e-4  # of a part's bounding radius: planes that cut off no more of a part do not
 # cut it
-BESIDE_DISTANCE = 0.02  # of the same: how far beyond an edge is looked for what continues a face
-# ...
-BELOW_SLOPE = 0.02  # ... and, as a part of that, how far below it: what bends by more is no
-# continuation (rad)
-OUTSIDE_DISTANCE = 0.05  # of the same: what is further outside of the body does not continue a part
-EDGE_POINTS = 32  # along an edge, at which is looked
+BESIDE_DISTANCE = 0.02  # of the same: distance beyond an edge at which a continuing face is
+# searched ...
+BELOW_SLOPE = 0.02  # ... and depth below it over that distance: a larger bend (rad) is no
+# continuation
+OUTSIDE_DISTANCE = 0.05  # of the same: points further outside the body end an extension
+EDGE_POINTS = 32  # tested along an edge
 
 
 @dataclass(frozen=True, eq=False)

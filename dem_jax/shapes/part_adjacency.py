@@ -10,7 +10,7 @@ from dem_jax.shapes.shape import ConvexPart
 from dem_jax.shapes.union_mass import face_planes
 
 FLAT_BEND = 1e-3  # (rad) normals that differ by no more are the same, as in meshes.seams
-SAME_WAY_COSINE = np.cos(0.1)  # faces that look the same way
+SAME_WAY_COSINE = np.cos(0.1)  # above it, faces have the same orientation
 
 
 def find_interior_faces(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-FORMAT = 2  # of what is kept; raised when the same mesh and settings are cut in another way
+FORMAT = 2  # of cached files; raised when the cut of the same mesh and settings changes
 
 
 def find_cache_folder() -> Path:

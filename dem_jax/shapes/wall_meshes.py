@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 Loop = Sequence[int]  # indices of points
 LOST_AREA = 0.01  # of the area of coplanar facets, that panels may lack
-THINNEST_RATIO = 1e-9  # thickness over size of a panel, and the other way round: beyond, its plate
-# is one in no precision
+THINNEST_RATIO = 1e-9  # thickness over size of a panel, or the inverse: beyond it no precision can
+# represent the plate
 SLIVER_AREA = 1e-4  # area over squared extent, of facets that may be left out
 COPLANAR_ANGLE = 1e-3  # (rad) bend up to which two panels are in one plane
 
@@ -401,7 +401,7 @@ def _drop_collinear(
     return loop
 
 
-# --- checks of what a person wrote ---
+# --- validation of user input ---
 
 
 def _require_polygon(polygon: Any, name: str) -> np.ndarray:

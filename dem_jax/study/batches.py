@@ -26,9 +26,9 @@ from dem_jax.scene.material_properties import build_material_table
 from dem_jax.study.config import Study
 from dem_jax.study.design import Point, list_points
 
-BATCH_SIZE = 32  # drops: what a study that was stopped has to do again, at most
-LONG_BATCH_TIME = 180.0  # s that a batch takes by estimate: one that takes longer is kept in a file
-# while it goes, and none of it done again
+BATCH_SIZE = 32  # drops: the most that a stopped study computes again
+LONG_BATCH_TIME = 180.0  # s, estimated time of a batch: longer ones are kept in a file during the
+# run, so that nothing is computed again
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def run_batch(
         except SimulationError as error:
             lost = members.pop(error.member or 0)
             failed.append(FailedDrops((lost,), str(error)))
-        except SceneError as error:  # such as a portion that finds no room with one of the seeds
+        except SceneError as error:  # such as a portion that does not fit with one of the seeds
             if len(members) == 1:
                 failed.append(FailedDrops((members.pop(),), str(error)))
                 continue
@@ -160,7 +160,7 @@ def _run_ensemble(
     batch: Batch, where: Sequence[int], study: Study, kept: Path | None, progress: bool
 ) -> Run:
     job = _prepare_job(batch, where, study)
-    if study.heap:  # kept in no file: that would begin anew from its scene, without the heap
+    if study.heap:  # not in a file: a restart would begin from the scene, without the heap
         return run_job(
             warm_start.start_from_heap(job, _prepare_job(batch, where, study, study.heap))
         )

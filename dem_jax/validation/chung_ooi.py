@@ -179,8 +179,8 @@ def _build_problem(
     parameters = {
         key: [_scene_value(s, key) for s in scenes] for key in _varied_keys(impacts[0], law)
     }
-    # a dashpot's force is largest within the first steps of a contact: its top is not resolved,
-    # what it does to the motion is
+    # a dashpot's force is largest within the first steps of a contact: the peak is not resolved,
+    # but its effect on the motion is
     damped = number == 3 and law != "walton-braun"
     bounds = {
         "restitution": 0.01,
@@ -266,7 +266,7 @@ def _impact_scene(law: str, i: SphereImpact, duration: float, touch: float) -> S
             "velocity": (i.along, 0.0, part * i.speed),
             "angular_velocity": (0.0, i.surface / i.radius, 0.0),
         },
-        # slip adds up where the second moves the other way
+        # slip adds up where the second moves in the opposite direction
         {
             "radius": radius,
             "velocity": (-along, 0.0, (part - 1) * i.speed),

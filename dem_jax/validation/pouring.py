@@ -9,8 +9,8 @@ from dem_jax.io.run_data import Run
 from dem_jax.validation.problem import ComparedValues, Problem, create_scene
 
 RADIUS, DENSITY, GRAVITY = 0.01, 300.0, 9.81  # m, kg/m3, m/s2
-DENSEST, LOOSEST = 0.64, 0.40  # random close packing; what walls a few spheres apart leave of a
-# loose one
+DENSEST, LOOSEST = 0.64, 0.40  # random close packing; loose packing between walls a few spheres
+# apart
 
 
 def pouring_problem(

@@ -12,7 +12,7 @@ from dem_jax.scene import parse_scene
 from dem_jax.visualization.metadata import find_main_block
 
 MOST_PERIODS = 3  # that the mean is over
-LEAST_SHARE, LEAST = 1e-3, 1e-5  # of the reading, and kg: below, a cell is said to be at rest
+LEAST_SHARE, LEAST = 1e-3, 1e-5  # of the reading, and kg: below both, a cell counts as at rest
 
 
 class CellOscillation(NamedTuple):

@@ -22,7 +22,7 @@ from dem_jax.scene.material_properties import (
 from dem_jax.shapes import principal_extents
 from dem_jax.visualization.bucket_heap import describe_heap
 
-Facts = list[tuple[str, str]]  # what, and what there is to say of it
+Facts = list[tuple[str, str]]  # name, and words
 # Power of the stiffness in the peak of one impact; of a densifying spring while its overlap is
 # small, of an elastic-plastic contact before it yields (then 0).
 STIFFNESS_EXPONENTS = {

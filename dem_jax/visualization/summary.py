@@ -24,7 +24,7 @@ from dem_jax.visualization.metrics import MEAN_WINDOW, peak_running_mean
 from dem_jax.visualization.time_to_rest import RestState, find_rest
 from dem_jax.visualization.variance_decomposition import describe_uncertainty
 
-MISSED_SHARE = 0.01  # of a peak: by how much samples may miss it before it is said
+MISSED_SHARE = 0.01  # of a peak: samples that miss it by more get a note
 
 
 def summarize_run(run: Run) -> list[str]:

@@ -45,8 +45,8 @@ def export_vtk(
         for i, t in enumerate(frames.time):
             speed = np.linalg.norm(frames.velocity[i], axis=-1)
             spin = np.linalg.norm(frames.angular_velocity[i], axis=-1)
-            here = np.flatnonzero(np.isfinite(frames.position[i]).all(axis=-1))  # not what waits
-            # for an inlet
+            here = np.flatnonzero(np.isfinite(frames.position[i]).all(axis=-1))  # without pieces
+            # that wait for an inlet
             data = {"piece": here, "speed": speed[here], "spin": spin[here]}
             rotations = quaternion_to_matrix(frames.orientation[i, here])
             placed = _transform_bodies(

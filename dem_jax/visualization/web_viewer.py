@@ -24,7 +24,7 @@ from dem_jax.visualization.scene_geometry import BodyMesh, WallPose, load_bodies
 
 MOST_BYTES = 5 * 2**20  # of the poses in a page, all views together
 MOST_PLATES = 1000  # of walls that are drawn with their thickness and edges
-SLOWER = (1, 2, 5, 10, 20, 50, 100, 200)  # than in truth: what the player offers
+SLOWER = (1, 2, 5, 10, 20, 50, 100, 200)  # than real time: choices of the player
 # of a page that loads nothing
 POLICY = "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 

@@ -14,7 +14,7 @@ from scipy import signal
 from dem_jax.weighing.adaptive_filters import THRESHOLD, FallingBandwidth, GrowingWindow
 
 Coefficients = tuple[float, ...]
-FilterMemory = tuple[Any, ...]  # of each section what it keeps from reading to reading
+FilterMemory = tuple[Any, ...]  # for each section, its memory from reading to reading
 WINDOW = "hamming"  # of an FIR filter, unless it is named
 MOST_DAMPING = 0.9  # ratio, of an oscillation that a shaper cancels: with more there is hardly one
 HIGHEST_ORDER = 25  # order of a Bessel filter, as far as scipy goes
@@ -88,8 +88,8 @@ def _parse_single_filter(text: str, rate: float) -> Filter:
         values = [float(number) for number in numbers]
     except ValueError:
         values = []
-    makers: dict[str, tuple[range, Callable[..., Filter]]] = {  # how many numbers, and what makes
-        # the filter of them
+    makers: dict[str, tuple[range, Callable[..., Filter]]] = {  # numbers of arguments, and the
+        # function that makes the filter
         "average": (range(1, 10), lambda *seconds: cascaded_averages(seconds, rate, text)),
         "bessel": (range(2, 3), lambda order, hz: bessel_filter(order, hz, rate, text)),
         "fir": (range(2, 3), lambda taps, hz: fir_filter(taps, hz, rate, window, text)),

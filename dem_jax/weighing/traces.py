@@ -16,7 +16,7 @@ from dem_jax.weighing.cell import Cell, build_cell
 if TYPE_CHECKING:
     import h5py
 
-BUCKET, BLOCK = ("wb_walls", "wb_flaps"), "wb"  # what a scale weighs, where there is a weigh bucket
+BUCKET, BLOCK = ("wb_walls", "wb_flaps"), "wb"  # on the scale, if there is a weigh bucket
 LEAST_SAMPLES = 2  # samples
 CELL_KEYS = "weigh_bucket.load_cell."  # of a scene
 
