@@ -46,7 +46,7 @@ def fall_times(shared: jax.Array, local: jax.Array, pieces: int) -> jax.Array:
 
 
 def piece_masses(local: jax.Array, share: jax.Array) -> jax.Array:
-    """[pieces] (kg): equal, or as the numbers behind the middles of the pulses say."""
+    """[pieces] (kg): equal, or from the numbers behind the middles of the pulses."""
     differences = local[len(LOCAL) + share.shape[0] :]
     if differences.shape[0]:
         share = share * (1.0 + differences)

@@ -25,10 +25,11 @@ WORDS = {";": '";"', "\t": "tabs", "|": '"|"', ",": '","', "": "spaces"}
 
 @dataclass(frozen=True)
 class Column:
-    """A column of forces: name, as in the header; time: [T] (s), of its own; force: [T] (N).
+    """A column of forces.
 
-    assumed: which units the table does not tell, of "time" and "force"; from_release: False where
-    times are those of a clock, which do not tell when the portion was released
+    name: as in the header; time: [T] (s), of this column; force: [T] (N); assumed: the units among
+    "time" and "force" that the table lacks; from_release: False where times are those of a clock,
+    which do not give the release
     """
 
     name: str
@@ -147,7 +148,7 @@ def _describe_table(
     columns: Sequence[Column],
     options: TableOptions,
 ) -> list[str]:
-    """How the table was understood."""
+    """Describe in one line how the table was understood."""
     times = (
         {find_time(path, fields, roles.times, k) for k in roles.forces} if roles.times else set()
     )

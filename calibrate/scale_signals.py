@@ -124,7 +124,7 @@ def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptio
 
 
 def read_weights(path: str) -> np.ndarray:
-    """[K] (g) the last column of a table, in g, or in kg where its header says so; columns are
+    """[K] (g) the last column of a table, in g, or in kg if its header has that unit; columns are
     separated by semicolons, tabs or commas, and numbers have a decimal comma only where columns
     have another separator. Raises `BadInput`."""
     lines = [line.text for line in read_lines(Path(path)) if line.text.strip()]

@@ -95,8 +95,8 @@ def fit_signals(
         m_piece: (kg) weight of a piece.
         pieces: number of pieces of all portions or of each. Default: the weight over m_piece.
         weights: [K] (kg) of the portions. Default: from the ends of the signals.
-        cell: start values of the load cell, which the fit may change. Default: a guess from how it
-            rings.
+        cell: start values of the load cell, which the fit may change. Default: a guess from its
+        ringing.
         progress: called with (name of the stage, done, total).
 
     Returns:

@@ -33,8 +33,8 @@ class Readings:
     edges: [T + 1] (s) of the sample intervals, 0 where a signal begins to show the portion; values:
     [K, T] (kg)
     share: [K, pieces] of the weight, 0 for pieces that are not there
-    weight, weight_sd: [K] (kg) and how well it is known (infinite: not at all)
-    inverse_mass, inverse_mass_sd: (1/kg) of the empty bucket, and how well that is known
+    weight, weight_sd: [K] (kg), and its standard deviation (infinite: unknown)
+    inverse_mass, inverse_mass_sd: (1/kg) of the empty bucket, and its standard deviation
     """
 
     edges: np.ndarray
@@ -177,8 +177,8 @@ def curve(readings: Readings, found: Estimate) -> Curvature:
 
 
 def _in_blocks(readings: Readings, found: Estimate) -> list[np.ndarray]:
-    """Cost, gradient and hessian of all portions, computed AT_ONCE at a time: one program whatever
-    their number."""
+    """Cost, gradient and hessian of all portions, computed AT_ONCE at a time: one program for any
+    number."""
     parts = []
     for first in range(0, len(found.local), AT_ONCE):
         rows = np.minimum(np.arange(first, first + AT_ONCE), len(found.local) - 1)

@@ -6,12 +6,12 @@ O(pieces)), then dt_impact alone to the increments, whose derivatives with respe
 impact are interference of single pulses: right on average, but so scattered that they would hide
 the information of the spread. In one dimension the sign of the slope is enough: the interval about
 the last value is halved until it is narrow. A round reaches as far as the one before it has moved,
-so that rounds become fine as the fit settles, and go on where the valley is flat.
+so that rounds become finer as the fit settles, and continue where the valley is flat.
 
-The rounds take each lag by itself: its distance has one least value in dt_impact, whatever the
-traces are. At the end come the whitened columns, which have several, but scatter half as much about
-the right one; the least value counts if it lies where it can be expected, as for traces that the
-model describes. Otherwise the value of the rounds stays.
+The rounds take each lag by itself: its distance has one least value in dt_impact, for all traces.
+At the end come the whitened columns, which have several, but scatter half as much about the right
+one; the least value counts if it lies where it can be expected, as for traces that the model
+describes. Otherwise the value of the rounds stays.
 """
 
 from collections.abc import Callable

@@ -13,7 +13,7 @@ GAPS = 0.02  # share of the steps: fewer that differ from all others are gaps, n
 
 
 def even_times(time: np.ndarray, decimals: int, at: Callable[[int], tuple[str, str]]) -> np.ndarray:
-    """Even times [T] where `time` [T] is even but for rounding to `decimals` places; else `time`
+    """Even times [T] where `time` [T] is even up to rounding to `decimals` places; else `time`
     itself.
 
     Args:
@@ -22,7 +22,7 @@ def even_times(time: np.ndarray, decimals: int, at: Callable[[int], tuple[str, s
         at: place (file, line and column) and cell of an index, for messages.
 
     Raises:
-        BadInput: times that go back, that repeat although their digits would tell them apart, or
+        BadInput: times that go back, that repeat although their digits could distinguish them, or
             with gaps.
     """
     steps = np.diff(time)

@@ -3,7 +3,7 @@ drops at once.
 
 One set of coefficients (`product_model.transfer`) is fitted to all ensembles by Adam on the sum of
 their losses (`landing_loss`), each in its own units: directions of the parameters that one ensemble
-does not tell are then decided by the others, which separate fits would leave to chance. The drop
+does not determine follow from the others, while separate fits would leave them to chance. The drop
 height follows in each step from the momentum that the ensemble brought.
 """
 

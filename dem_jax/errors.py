@@ -15,7 +15,7 @@ class RecordError(ValueError):
 
 
 class PlatformError(RuntimeError):
-    """JAX was asked for devices, by JAX_PLATFORMS, that it does not find."""
+    """JAX does not find the devices that JAX_PLATFORMS requests."""
 
 
 class SimulationError(RuntimeError):

@@ -59,7 +59,7 @@ def write_c(
     Args:
         folder: path; its parent must exist.
         params: parameters, pulse form and precision of the files.
-        seed: that the example uses unless told otherwise.
+        seed: default seed of the example.
         overwrite: replace files of these names.
 
     Returns: the path of the folder.
@@ -119,8 +119,8 @@ def check_folder(folder: Path, names: list[str], overwrite: bool) -> None:
 
 
 def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]:
-    """Name -> text of the model's files with these parameters and room for twice as many pieces, at
-    least `capacity`.
+    """Name -> text of the model's files with these parameters and a capacity of twice as many
+    pieces, at least `capacity`.
     """
     header = (SOURCES / "product_model.h").read_text(encoding="utf-8")
     header = set_macro(header, "PRODUCT_MODEL_REAL", REALS[params.precision])

@@ -16,10 +16,10 @@ first, turn, rebound a little and slump with the heap. Here
 5. `early_weight` of the weight rests on the flaps dt_impact after the first touch, all of it
    dt_impact after the last landing.
 
-Momentum is conserved: whatever the random numbers, the force of a piece that fell for the time t
-has given m g (T - dt_impact) at a time T after its release when it is at rest, which is m v + m g
-(T - t - dt_impact) as in the paper. `OFF`, whose additions are zero and whose pulses are
-rectangles, is the paper's model.
+Momentum is conserved: for all random numbers, the force of a piece that fell for the time t has
+given m g (T - dt_impact) at a time T after its release when it is at rest, which is m v + m g (T -
+t - dt_impact) as in the paper. `OFF`, whose additions are zero and whose pulses are rectangles, is
+the paper's model.
 """
 
 from collections.abc import Mapping
@@ -54,7 +54,7 @@ class Landings:
     `ADDITIONS`.
 
     The defaults are those of nine marshmallows in the stock scene `weigh-bucket` of the discrete
-    element model. All can be traced, mapped and differentiated, but for `impacts`, the number of
+    element model. All can be traced, mapped and differentiated, except `impacts`, the number of
     impacts of each landing, and `shape`, the shape of the pulses.
     """
 

@@ -101,7 +101,7 @@ def _locate_error() -> str:
 
 
 def _find_missing_platform() -> PlatformError | None:
-    """The error that JAX was asked for a platform that it does not have; None: it has it.
+    """The error of a requested platform that JAX does not have; None: it has it.
 
     Without this check the first use of JAX would fail on it.
     """

@@ -192,8 +192,8 @@ def lock_file(path: FileName) -> Iterator[None]:
     """Hold the lock on a file among the processes of this user and machine. Raises RecordError if
     another one holds it.
 
-    The lock is kept in the user's cache folder, not beside the file, and ends with the process,
-    however that ends.
+    The lock is kept in the user's cache folder, not beside the file, and is released with the end
+    of the process.
     """
     held: tuple[str, int] | None = None
     try:

@@ -63,7 +63,7 @@ class RunHeader:
     names of the wall groups and of the blocks in which settled mass is measured. piece_count:
     pieces in a run. run_count: runs of an ensemble, None for a single run. info: further facts that
     JSON can hold (the limit of dt, why the run stopped, ...). quantities: all that the file holds;
-    None: it does not say, see ``held``.
+    None: not listed in the file, see ``stored_quantities``.
     """
 
     scene: str

@@ -55,7 +55,7 @@ def load_restart(path: FileName) -> tuple[RunHeader, dict[str, np.ndarray], int,
     the file.
 
     If the run stopped before its first flush, the state is {} and the file has no samples. Raises
-    RecordError as `load_run`, but for a file without samples, and for one with samples and no
+    RecordError as `load_run`, except for a file without samples, and for one with samples and no
     restart state, or one that was changed since.
     """
     with open_for_reading(path) as file:

@@ -1,13 +1,13 @@
 """Writing of runs and ensembles to HDF5 files during the run; the files are readable at every
 moment.
 
-A flush never changes the file in place: it appends to a copy in memory and puts that in the place
-of the original (``output.replace_file``). So a process that is killed at any instant leaves the
-file of its last flush, in which the series and the restart state belong to the same time, and any
-reader may open the file while the run goes on. HDF5 itself never meets a full disk, which it would
-not survive. The price is a copy per flush; flushes are spaced such that it stays below 5 % of the
-time. (Compression would not pay: a growing chunk is written anew.) A file that is not as the flush
-before left it (inode, size, time of the last change) is not appended to: another process has
+A flush never changes the file in place: it appends to a copy in memory and replaces the original by
+that (``atomic_files.replace_file``). A process that is killed at any instant thus leaves the file
+of its last flush, in which the series and the restart state belong to the same time, and any reader
+may open the file during the run. HDF5 itself never writes to a full disk, which would corrupt the
+file. The price is a copy per flush; flushes are spaced such that it stays below 5 % of the time.
+(Compression is not worth its cost: a growing chunk is written anew.) A file that has changed since
+the last flush (inode, size, time of the last change) is not appended to, as another process has
 written it.
 """
 

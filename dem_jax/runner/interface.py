@@ -78,11 +78,11 @@ def ensemble(
 
     All runs share one compiled program. On a CPU each run has a thread of its own and the bits of a
     single run; at least sixteen runs of few pieces with equal parameters are batched in groups of
-    16 (``joined``), in half of the time or less. On other devices runs advance together
-    (``jax.vmap``), distributed over as many devices as divide their number. Batched runs equal
-    single runs up to round-off, which contacts amplify. A scene whose pieces are listed one by one
-    does not depend on the seed. If one run fails, all stop. With ``run.until_settled`` all runs
-    share one release time and one end time.
+    16 (``dynamics.interleaved_batch``), in half of the time or less. On other devices runs advance
+    together (``jax.vmap``), distributed over as many devices as divide their number. Batched runs
+    equal single runs up to round-off, which contacts amplify. A scene whose pieces are listed one
+    by one does not depend on the seed. If one run fails, all stop. With ``run.until_settled`` all
+    runs share one release time and one end time.
 
     If ``jax.distributed`` was initialised, all processes must call this function with the same
     arguments. Each computes its share of the runs, the first writes the file, and all return the
@@ -92,8 +92,8 @@ def ensemble(
         scene: a Scene, or a name or path that ``load_scene`` accepts.
         runs: number of runs K; by default the number of values of a parameter, or 64.
         seed: first of the consecutive seeds, or the seeds of all runs.
-        out: HDF5 file to write during the run; without one the runs stay in memory.
-        overwrite: replace an existing file.
+        out: HDF5 file to write during the run; without one the runs stay in memory. overwrite:
+        replace an existing file.
         progress: show a progress bar on stderr, or a function that is called instead with the phase
             (text) and the share that is done.
         quantities: quantities to sample in addition to those of dem_jax.

@@ -36,8 +36,9 @@ def prepare_job(
     law: ContactLaw | None = None,
     parameters: dict[str, list[Any]] | None = None,
 ) -> Job:
-    """Set up a run (runs: None) or an ensemble, one seed for each run. quantities: to sample beside
-    those of dem_jax; law: instead of the scene's; parameters: key -> a value for each run.
+    """Set up a run (runs: None) or an ensemble, one seed for each run. quantities: to sample in
+    addition to those of dem_jax; law: replaces the scene's; parameters: key -> a value for each
+    run.
 
     Raises SceneError, and ValueError for two quantities of one name.
     """

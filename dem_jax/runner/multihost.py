@@ -1,7 +1,8 @@
 """Several processes that compute one ensemble (``jax.distributed``) and share their results and
 exceptions.
 
-All decide alike because all know the same, so none waits for a word that another does not send.
+All processes know the same and thus take the same decisions, so that none waits for a message that
+another does not send.
 """
 
 import pickle

@@ -60,7 +60,7 @@ def get_executable(
 
 def _store_executable(key: Any, program: Callable[..., Any]) -> None:
     """Store a program that is used now, and drop the least recently used one if there are more than
-    MOST_KEPT.
+    MOST_EXECUTABLES.
     """
     with LOCK:
         EXECUTABLES.pop(key, None)

@@ -134,8 +134,8 @@ def collect_info(
     job: Job, span: ChunkResult, notes: list[str], reruns: list[str]
 ) -> dict[str, Any]:
     """Additions of a span to the file's info: ``notes`` for the user, and ``reruns``, which were
-    handled; ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a
-    portion settled if that was cut short; ``collisions``, see
+    handled; ``settled`` (s), the end of a run that ended early; ``settling`` (s), the time for
+    which a portion settled if that was cut short; ``collisions``, see
     ``dynamics.collision_summary.summarize_collisions``; ``moving``, see count_moving.
     """
     facts: dict[str, Any] = {
@@ -181,8 +181,8 @@ def count_moving(job: Job, span: ChunkResult) -> dict[str, Any]:
 def choose_restart_state(job: Job, span: ChunkResult) -> dict[str, np.ndarray] | None:
     """The restart state after a span, or None to keep that of the span before.
 
-    Only at the end of a whole chunk, or at its beginning if it is the first: there every run of the
-    scene, however long, begins a chunk, which is why going on gives the same bits.
+    It is saved only at the end of a whole chunk, or at the beginning of the first one. There every
+    run of the scene, however long, begins a chunk, so that a resumed run has the same bits.
     """
     if span.end == job.chunk_end(span.first):
         state, slow = span.state, span.slow

@@ -18,8 +18,8 @@ from dem_jax.walls import motion
 class StopCriterion:
     """Criterion for the early end of a run; times in samples from the release.
 
-    Looked at after each ``window``, counted from the start of settling and from the release: so it
-    depends on the scene alone, not on how a run is cut into chunks.
+    It is evaluated after each ``window``, counted from the start of settling and from the release.
+    It thus depends only on the scene, not on the chunks of a run.
     """
 
     speed: float  # m/s: all pieces have been slower throughout the last window

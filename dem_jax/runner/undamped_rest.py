@@ -17,9 +17,9 @@ UNDAMPED_NOTE = (
 
 
 def note_undamped_rest(job: Job, span: ChunkResult) -> list[str]:
-    """NOTE if in some run no piece was faster than run.settled_speed in the last 2 s of a span (or
-    in all of a shorter span), and the span ends 2 s or more after the release. It depends on the
-    scene and the span alone, so that a resumed run has the same note.
+    """UNDAMPED_NOTE if in some run no piece was faster than run.settled_speed in the last 2 s of a
+    span (or in all of a shorter span), and the span ends 2 s or more after the release. It depends
+    on the scene and the span alone, so that a resumed run has the same note.
     """
     run = job.scene.run
     looked = min(span.count, round(LONG_REST / run.sample))

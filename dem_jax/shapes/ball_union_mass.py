@@ -19,7 +19,7 @@ def integrate_ball_union(centres: np.ndarray, radii: np.ndarray) -> Moments:
     Divergence theorem: a polynomial p of degree d has the integral of p(x) (x . n) / (d + 3) over
     the surface. The surface is each sphere less the caps inside other balls: on a circle of
     latitude, less some arcs. Between latitudes where these begin, end or cross, the integrand is
-    smooth but for square roots at the ends, which a cosine takes away.
+    smooth except for square roots at the ends, which a cosine substitution removes.
     """
     total = np.zeros((4, 4))
     for i in range(len(radii)):

@@ -28,9 +28,9 @@ class ClosedBodies(NamedTuple):
     """The closed bodies of a mesh.
 
     mesh: all facets, those of bodies that meet replaced by the surface of their union. is_closed:
-    [F] bool, facets that bound a body. number: of bodies in the file. flipped_count: how many of
-    these were inside out. vessels: closed surfaces whose facets look inwards, as pieces in them see
-    them.
+    [F] bool, facets that bound a body. number: of bodies in the file. flipped_count: number of
+    these that were inside out. vessels: closed surfaces whose facets look inwards, as pieces in
+    them see them.
     """
 
     mesh: "trimesh.Trimesh"
@@ -109,8 +109,8 @@ def measure_thickness(bodies: ClosedBodies, source: str | Path) -> float:
 def _exit_distance(
     body: "Manifold", point: np.ndarray, way: np.ndarray, start: float, end: float
 ) -> float:
-    """How far (m) a body reaches from a point along a unit direction; looked at from ``start`` to
-    ``end`` (m).
+    """Distance (m) from a point along a unit direction to the exit from a body, searched from
+    ``start`` to ``end`` (m).
     """
     hits = body.ray_cast((point + start * way).tolist(), (point + end * way).tolist())
     out = [

@@ -51,7 +51,7 @@ def cut_into_convex_parts(
         name: of the file, for messages.
 
     Raises:
-        SceneError: where CoACD is not installed, fails, or takes longer than CEILING.
+        SceneError: where CoACD is not installed, fails, or takes longer than LONGEST_TIME.
     """
     if any(not _is_installed(needed) for needed in ("coacd", "rtree", "fast_simplification")):
         raise SceneError(
@@ -89,7 +89,7 @@ def _decimate_mesh(mesh: "trimesh.Trimesh", most: int) -> "trimesh.Trimesh":
 
 def _run_coacd(source: Path, target: Path, name: str) -> None:
     """Let CoACD cut the source into the target. Raises SceneError if it fails, or takes longer than
-    CEILING.
+    LONGEST_TIME.
     """
     command = [
         sys.executable,
@@ -120,7 +120,7 @@ def _run_coacd(source: Path, target: Path, name: str) -> None:
 
 
 def _wait_for_process(process: "subprocess.Popen[bytes]", name: str) -> bool:
-    """Whether a process ends within CEILING, with its time on stderr."""
+    """Whether a process ends within LONGEST_TIME, with its time on stderr."""
     from tqdm import tqdm
 
     words = f"cutting {Path(name).name} into convex parts: {{elapsed}}, at most {LONGEST_TIME:g} s; kept for the next time"

@@ -68,9 +68,7 @@ def simplify_hull(points: np.ndarray, most: int) -> Simplification:
 
 
 def _heights_above_hull(points: np.ndarray, hull: "ConvexHull") -> np.ndarray:
-    """How far [P] (m) points [P, 3] are above the highest of the planes of a hull's facets,
-    negative: inside.
-    """
+    """Height [P] (m) of points [P, 3] above the highest plane of a hull's facets; negative inside."""
     some = max(1, MOST_PAIRS // len(hull.equations))
     parts = (
         points[k : k + some] @ hull.equations[:, :3].T + hull.equations[:, 3]

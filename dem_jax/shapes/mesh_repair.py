@@ -309,7 +309,7 @@ def _check_closed(mesh: "trimesh.Trimesh", source: str | Path) -> None:
 
 
 def format_numbers(numbers: Sequence[int]) -> str:
-    """The first few numbers, and how many more there are."""
+    """The first few numbers, and the number of others, in words."""
     more = len(numbers) - MOST_LISTED
     return ", ".join(map(str, numbers[:MOST_LISTED])) + (f" and {more} more" if more > 0 else "")
 

@@ -1,5 +1,5 @@
-"""How the convex parts of a body join: faces that other parts cover, and parts that continue each
-other.
+"""Adjacency of the convex parts of a body: faces that other parts cover, and parts that continue
+each other.
 """
 
 from collections.abc import Sequence

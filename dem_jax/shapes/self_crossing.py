@@ -66,7 +66,8 @@ def _measure_cover(body: "Manifold", sign: float) -> tuple[float, float, np.ndar
 
 
 def _ray_origins(low: np.ndarray, high: np.ndarray, axis: int) -> np.ndarray:
-    """[RAYS**2, 3] points below a box, evenly spaced; off its middle planes, where edges often lie."""
+    """[RAYS_PER_EDGE**2, 3] points below a box, evenly spaced; off its middle planes, where edges
+    often lie."""
     share = (np.arange(RAYS_PER_EDGE) + 0.4871) / RAYS_PER_EDGE
     b, c = [k for k in range(3) if k != axis]
     grid = np.zeros((RAYS_PER_EDGE, RAYS_PER_EDGE, 3))

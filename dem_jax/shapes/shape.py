@@ -71,8 +71,8 @@ class ConvexPart:
 
     shape: polytope or sphere about its own centre of mass, its axes parallel to the body frame of
     the whole. centre: [3] (m) of the part, in the body frame of the whole, about the whole's centre
-    of mass. inner: for each face of the part True if other parts cover it completely, so that
-    nothing can touch it.
+    of mass. interior_faces: for each face of the part True if other parts cover it completely, so
+    that nothing can touch it.
     """
 
     shape: Shape

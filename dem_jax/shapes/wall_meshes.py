@@ -82,8 +82,8 @@ def drop_collinear_corners(polygon: np.ndarray) -> np.ndarray:
 class WallMesh(NamedTuple):
     """Panels of an STL for walls.
 
-    panels: convex, each [k, 3] (m). facets: how many made them. duplicate_count: how many more were
-    left out because they were given twice. thinnest: (m) least thickness behind a facet of a closed
+    panels: convex, each [k, 3] (m). facets: their number. duplicate_count: number of facets left
+    out because they were given twice. thinnest: (m) least thickness behind a facet of a closed
     body; inf: there is none. bodies: the closed bodies, in words.
     """
 
@@ -280,7 +280,7 @@ def _group_coplanar(mesh: "trimesh.Trimesh", cosine: float, tolerance: float) ->
     """Groups of facets (index arrays), each grown from its largest over shared edges to those in
     the same plane.
 
-    A facet is in the plane if its normal is, or (slivers, whose normal says little) if all its
+    A facet is in the plane if its normal is, or (slivers, whose normal is inaccurate) if all its
     corners are.
     """
     neighbours: list[list[int]] = [[] for _ in mesh.faces]

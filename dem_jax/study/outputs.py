@@ -46,8 +46,7 @@ class StudyOutput(NamedTuple):
     """An output, one number per run: of the drop, or of the portion before it; nan where there is
     none.
 
-    digits: how many are shown. needs_rest: whether a run that ended before all was at rest has
-    none.
+    digits: number shown. needs_rest: whether a run that ended before all was at rest has none.
     """
 
     unit: str

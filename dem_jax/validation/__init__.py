@@ -2,11 +2,11 @@
 each family.
 
 Closed forms are frozen dataclasses of plain numbers (SI) whose properties are the solution
-(``normal``, ``oblique``, ``eccentric``, ``rotation``, ``cell``), and where there is none an
-adaptive solver of high order takes its place (``solved``). ``traces`` runs a system step by step
-and reads the quantities of the solution. A ``Problem`` is a scene, its solution and the quantities
-compared (``catalogue.problems`` lists all); ``solve_problem`` runs it as a user would and says how
-far off it is.
+(``normal``, ``oblique``, ``eccentric``, ``free_rotation``, ``cell_impact``). Without a closed form,
+an adaptive solver of high order takes its place (``reference_solver``). ``trajectory`` runs a
+system step by step and reads the quantities of the solution. A ``Problem`` is a scene, its solution
+and the quantities compared (``catalogue.list_problems`` lists all); ``solve_problem`` runs it as a
+user would and returns the errors.
 """
 
 from dem_jax.validation.cell_impact import CellImpact

@@ -4,7 +4,7 @@ curves, with each contact law.
 Tests 1 to 3 are central impacts, 4 to 6 a sphere that meets a wall obliquely or spinning, 7 and 8
 two spheres that do. Sizes, speeds and materials are those of the tests (the second sphere of test 8
 is three times as large); laws that are linear are softened, so that overlaps are about as large as
-those of Hertz's. ``solved`` gives the exact solution.
+those of Hertz's. ``reference_solver`` gives the exact solution.
 """
 
 from collections.abc import Iterable

@@ -18,9 +18,10 @@ from dem_jax.shapes import Shape, surface_mesh
 class Heap(NamedTuple):
     """A heap in a bucket.
 
-    height: (m) of its highest point above the bucket's deepest. to_brim: (m) of the brim. level:
-    volume below the heap as seen from above over that of the bucket. over: pieces in it whose
-    highest point is above the brim. beside: pieces below the brim that are outside of the mouth.
+    height: (m) of its highest point above the bucket's deepest. brim_height: (m) of the brim.
+    level: volume below the heap as seen from above over that of the bucket. count_above_brim:
+    pieces in it whose highest point is above the brim. count_beside: pieces below the brim that are
+    outside the mouth.
     """
 
     height: float

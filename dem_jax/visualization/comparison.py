@@ -16,8 +16,9 @@ BOOTSTRAP_SAMPLES = 1000  # times that an ensemble is drawn anew from itself
 class MetricDifference(NamedTuple):
     """Difference of a metric of one run from that of another.
 
-    by: difference of the medians, in unit. low, high: its 5 to 95 % interval; nan of two single
-    runs. relative: by over the size of the other's median; nan if that is 0.
+    median_difference: of the medians, in unit. low, high: its 5 to 95 % interval; nan for two
+    single runs. relative_difference: median_difference over the size of the other's median; nan if
+    that is 0.
     """
 
     name: str
@@ -98,7 +99,7 @@ def _difference_interval(this: np.ndarray, other: np.ndarray) -> tuple[float, fl
 def describe_differences(
     names: Sequence[str], runs: Sequence[Run], group: str | None = None, block: str | None = None
 ) -> list[str]:
-    """Lines that say by how much each run differs from the first; none for a single run.
+    """Lines with the differences of each run from the first; none for a single run.
 
     names: of the runs. Raises RecordError as ``compute_metrics``.
     """

@@ -16,8 +16,8 @@ FILLED_BLOCKS = {"fb": "in FB", "lf": "on LF"}  # block -> words
 
 
 class CycleWindow(NamedTuple):
-    """A cycle from when WB is shut to when it begins to open again, s from the release; before: the
-    end of the previous cycle.
+    """A cycle from when WB is shut to when it begins to open again, s from the release;
+    previous_end: that of the cycle before.
     """
 
     number: int

@@ -21,7 +21,7 @@ class Metric(NamedTuple):
     """A quantity of a run: its name, its unit and its values [K], one of each run of an ensemble;
     nan: there is none.
 
-    digits: how many are shown. missing: why there is none, in words.
+    digits: number shown. missing: reason for a missing value, in words.
     """
 
     name: str

@@ -178,7 +178,7 @@ def draw_frames(
 def _find_frame_indices(
     times: np.ndarray, at: float | None, strip: int | Sequence[float] | None
 ) -> list[int]:
-    """Indices of the frames nearest to the instants asked for. Raises RecordError for one before or
+    """Indices of the frames nearest to the requested instants. Raises RecordError for one before or
     after them.
     """
     wanted: ArrayLike

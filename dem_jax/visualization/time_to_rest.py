@@ -24,11 +24,13 @@ class RestState(NamedTuple):
     """Rest of each of K runs.
 
     duration: [K] (s) from the first force until the settled mass has its final value for good; nan
-        where nothing landed or settled, and where something still moved when the run ended.
-    moving: [K] number of pieces that were not at rest at the end: fast, or slow for less than the
-    window. slowed: [K] number of those that were slow at the end. window: (s) for which a piece
-    must be slow to be at rest. observed: [K] (s) from the first force to the end of the run; nan
-    where nothing landed. pieces: number of pieces of a run.
+    where nothing landed or settled, and where something still moved when the run ended.
+    moving_count: [K] number of pieces that were not at rest at the end: fast, or slow for less than
+    the window.
+    slow_count: [K] number of those that were slow at the end.
+    window: (s) for which a piece must be slow to be at rest.
+    observed_time: [K] (s) from the first force to the end of the run; nan where nothing landed.
+    pieces: number of pieces of a run.
     """
 
     duration: np.ndarray

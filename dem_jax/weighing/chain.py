@@ -1,8 +1,8 @@
 """The signal chain of a scale: means over the intervals of its own rate, as a converter makes them,
 then a filter.
 
-Streaming: ``start_chain`` makes a state, ``feed`` takes a block of samples and answers with the
-readings that it completes. However a trace is cut into blocks, the readings have the same bits.
+Streaming: ``start_chain`` makes a state, ``feed`` takes a block of samples and returns the readings
+that it completes. The readings have the same bits for all divisions of a trace into blocks.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ class SignalChain(NamedTuple):
 
 
 class ChainState(NamedTuple):
-    """The state of a chain: bounded, however long it runs."""
+    """The state of a chain, of fixed size."""
 
     sample_count: int  # samples
     reading_count: int  # readings

@@ -26,8 +26,8 @@ class WeightTrace(NamedTuple):
 
     time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..]
     (kg), mass that lies there in the end. source: origin of the weight, in words. product: [.., T]
-    or a number (kg), mass that lies there over time. cell: the load cell that the weight has gone
-    through; None: none. noise: of the scene; None: none. gravity: (m/s2). impact: [..] (s) first
+    or a number (kg), mass that lies there over time. cell: the load cell that has measured the
+    weight; None: none. noise: of the scene; None: none. gravity: (m/s2). impact: [..] (s) first
     force of the product, nan: there is none; None: where the weight begins.
     """
 
@@ -185,7 +185,7 @@ def _product_mass(masses: dict[str, np.ndarray], block: str | None) -> np.ndarra
 
 
 def _choose_block(masses: dict[str, np.ndarray], block: str | None) -> str | None:
-    """Name of the block whose mass counts: the one asked for, that of a weigh bucket, or the first."""
+    """Name of the block whose mass counts: the requested one, that of a weigh bucket, or the first."""
     return block or (BLOCK if BLOCK in masses else next(iter(masses), None))
 
 
