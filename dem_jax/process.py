@@ -18,7 +18,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 UNWIND_TIMEOUT = 0.25  # s, for the main thread to unwind
-SAVE_TIMEOUT = 5.0  # s at most, to save what was computed
+SAVE_TIMEOUT = 5.0  # s at most, to save the results so far
 EXIT_TIMEOUT = 0.2  # s at most, to print a line, and to leave a cluster of processes
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # and the word
 # for their effect

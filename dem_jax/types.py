@@ -557,7 +557,7 @@ class Scratch(PytreeBase):
     shares: dict[str, Array]  # by kind of contact, [P]: share of each slot in its merged contact
     active_features: dict[str, ActiveFeatures]  # by kind of contact, of polytopes with
     # PolytopeFeatures; empty if each step searches all features
-    support_faces: dict[str, SupportFaces]  # likewise
+    support_faces: dict[str, SupportFaces]  # by kind of contact, as active_features
     is_first: Array  # bool: whether no initial overlap of polytopes has been recorded yet
     remaining_margin: Array | None  # [P] (m): relative displacement of each pair of polytopes until
     # the next check for a refresh

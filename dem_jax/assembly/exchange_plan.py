@@ -13,12 +13,12 @@ from dem_jax.scene.bucket_geometry import Panel
 from dem_jax.shapes import Shape
 from dem_jax.types import PieceExchange, System, as_array
 
-WAITING_DISTANCE = 1.0  # m, from all walls to where pieces wait
+WAITING_DISTANCE = 1.0  # m, from all walls to the waiting places
 FALL_MARGIN = 1.5  # the domain extends beyond the outlet by this multiple of the distance that a
 # piece can fly before it is removed
 
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
-Corners = tuple[np.ndarray, np.ndarray]  # likewise
+Corners = tuple[np.ndarray, np.ndarray]  # the same, as numpy arrays
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,20 @@ import numpy as np
 
 from dem_jax.shapes import loop_normal, wall_meshes
 
-FLAT_BEND = 2e-6  # (rad) panels that meet at no more are one plane to the last digit that counts
-OPEN_BEND = 0.01  # (rad) from which on a convex seam is an edge of the surface as much as the rim
-# is
-REACH = 3.0  # bounding radii of the largest piece, within which a panel has to know the neighbours
+FLAT_BEND = 2e-6  # (rad) panels that meet at a smaller angle are one plane within rounding
+OPEN_BEND = 0.01  # (rad) angle from which on a convex seam is as much an edge of the surface as the
+# rim
+REACH = 3.0  # bounding radii of the largest piece, within which a panel stores the neighbours
 # beyond its convex seams
-FINEST = 0.004  # (rad) between the normals of such neighbours: what lies between is left out
-MOST_PLANES = 48  # such neighbours of a panel; where there are more, coarser ones are taken
-NEAREST = 16  # of them that stay where they are if others are left out
-ROUNDS = 20  # in which the others are moved inwards
-STEEPEST = 0.2  # cosine of the angle to the panel up to which planes are moved
-BEHIND = 1e-3  # of the reach: where the inside of the solid behind a panel is
-BELOW = 1e-6  # of the reach: corners that are above a plane by no more are not above it
+FINEST = 0.004  # (rad) smallest angle between the normals of such neighbours; intermediate ones are
+# omitted
+MOST_PLANES = 48  # largest number of such neighbours of a panel; with more, a coarser selection is
+# stored
+NEAREST = 16  # number of nearest ones that stay in place if others are omitted
+ROUNDS = 20  # iterations in which the others are moved inwards
+STEEPEST = 0.2  # cosine of the angle to the panel, up to which planes are moved
+BEHIND = 1e-3  # of the reach: depth behind a panel of a point inside its solid
+BELOW = 1e-6  # of the reach: tolerance for corners above a plane
 
 Group = tuple[str, np.ndarray]  # name of the wall group, corners of a panel [k, 3] (m)
 
@@ -35,8 +37,8 @@ class PanelSeams(NamedTuple):
     """Seams at which other panels continue a panel, in its own frame, about its own centre."""
 
     across: np.ndarray  # [m, 3] outward unit directions, in its plane, across each seam
-    openness: np.ndarray  # [m] how much of the seam is an edge of the surface: 0 of flat and
-    # concave ones, 1 of convex ones
+    openness: np.ndarray  # [m] degree to which the seam is an edge of the surface: 0 for flat and
+    # concave seams, 1 for convex ones
     planes: np.ndarray  # [k, 4] outward normals and offsets (m) of the neighbours beyond convex
     # seams
     is_bent: bool  # whether it meets any of its neighbours at an angle
@@ -60,8 +62,7 @@ class PanelSurfaces(NamedTuple):
     """The surfaces that panels form."""
 
     seams: list[PanelSeams]  # of each panel, in the frame of the scene
-    number: np.ndarray  # [W] int: the same for panels of one surface, -1 for a panel that is one by
-    # itself
+    number: np.ndarray  # [W] int: surface number of each panel, -1 for a panel without seams
     is_bent: bool  # whether panels of any surface meet at an angle
 
 
@@ -274,7 +275,7 @@ def _move_planes_inwards(
     for _ in range(ROUNDS):
         try:
             corners = HalfspaceIntersection(rows * [1, 1, 1, -1], inside).intersections
-        except QhullError:  # a solid without an inside
+        except QhullError:  # a solid without interior
             break
         above = (corners @ left_out[:, :3].T - left_out[:, 3]).max(axis=1)
         meets = np.abs(corners @ planes[:, :3].T - rows[: len(planes), 3]) < BELOW * reach

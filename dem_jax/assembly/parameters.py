@@ -11,7 +11,7 @@ from dem_jax.scene import Scene
 from dem_jax.scene.array_namespace import is_zero
 from dem_jax.scene.sections.base import ParameterMark, Section
 
-# Dotted key of a scene -> a number, an array, or what stands for one while JAX traces: a pytree.
+# Dotted key of a scene -> a number, an array, or a traced value: a pytree.
 Parameters = Mapping[str, Any]
 
 

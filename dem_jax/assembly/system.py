@@ -240,7 +240,7 @@ def assemble_system(
 
 
 def _turns(arrays: ParameterArrays) -> bool:
-    """Whether spheres of these materials may turn."""
+    """Whether spheres of these materials may rotate."""
     materials = arrays.materials
     return (
         materials.friction is not None

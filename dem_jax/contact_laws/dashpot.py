@@ -1,5 +1,5 @@
-"""A dashpot in parallel to an elastic spring, never adhesive: shared by the linear law, that of
-Hertz and the unloading branch of Walton and Braun.
+"""A dashpot in parallel to an elastic spring, never adhesive: shared by the linear law, Hertz's law
+and the unloading branch of Walton and Braun.
 
 Linear: m s'' + c s' + K s = 0 with damping ratio zeta = c / (2 sqrt(m K)). The contact ends where
 the force vanishes, not where the overlap does (Schwager and Poeschel, Granular Matter 9 (2007)

@@ -60,8 +60,9 @@ def _step_factor(quantity: str, restitution: float) -> float:
 
 
 # The marshmallow's most eccentric contact has 0.166 of its mass: n is 0.407 times the steps of a
-# central impact. Of 96 other orientations at restitution 0.1 the worst rebound reached 95 % of it,
-# of 16 of a rod of 60 x 12 x 12 mm 61 %; of 192 orientations at 0.1 and 0.7 the worst peak 89 %.
+# central impact. The worst rebound of 96 other orientations at restitution 0.1 reached 95 % of the
+# bound, that of 16 orientations of a rod of 60 x 12 x 12 mm 61 %, and the worst peak of 192
+# orientations at 0.1 and 0.7 reached 89 %.
 SPHERE = ErrorBound(
     {"restitution": (0.48, 2.0), "peak_force": (0.32, 2.0)},
     {"restitution": (0.5, 4.0), "peak_force": (0.11, 2.0)},

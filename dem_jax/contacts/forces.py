@@ -199,7 +199,7 @@ class _SharedSurfaces(NamedTuple):
     before: ContactHistory
     stacked: Array  # as in ``compute_contact_forces``
     filled: Array  # slots
-    size: int  # of a block
+    size: int  # of a tile
     is_due: Array  # as in ``evaluate_contact_forces``
 
     def loop_over_tiles(self, block: Callable[[Array | int, T], T], carry: T) -> T:

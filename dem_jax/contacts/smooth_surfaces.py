@@ -74,8 +74,8 @@ class _Sums(NamedTuple):
 
     patch: Array  # [B]: of the weights of ``find_load_shares``
     weight: Array  # [B]: of those of normals and points: derivatives of the common overlap
-    overlap: Array  # [B] (m of spheres, relative to the largest overlap to the power of POWER of
-    # polytopes)
+    overlap: Array  # [B] (m for spheres; for polytopes relative to the largest overlap, to the
+    # power MEAN_POWER)
     normal: Vector  # [B] x 3
     point: Vector  # [B] x 3 (m), from the centre of b
     spread: SecondMoments | None  # [B] (m2), of the patches about the centre of b; None if not

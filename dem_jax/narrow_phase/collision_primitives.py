@@ -86,7 +86,7 @@ class ContactGeometry(NamedTuple):
     # continue each other
     deepest: DeepestPoint | None = None  # for polytopes; None: the contact point
     moments: Moments | None = None  # (m2) of the patch of polytopes about the point
-    tied: Array | None = None  # [P]: as in ``types.Memory``
+    tied: Array | None = None  # [P]: as in ``types.ContactHistory``
 
 
 def hull_hull(
@@ -111,8 +111,8 @@ def hull_hull(
 
 def deepest_from_patch(point: Vector, weight: Array, depth: Array) -> DeepestPoint:
     """The deepest point if it is not a corner: the contact point, [P] x 3 (m), as the middle of the
-    overlap. The overlap extends as far as half of its perimeter, which is the weight (m2) over the
-    depth (m).
+    overlap. Its uncertainty is the extent of the overlap, at most half of its perimeter, which
+    equals the weight (m2) over the depth (m).
     """
     return DeepestPoint(point, jnp.where(depth > 0, weight / jnp.where(depth > 0, depth, 1), 0))
 

@@ -1,11 +1,12 @@
-"""Full feature search of pairs of convex polytopes: their deciding features, and how long these
-stay valid.
+"""Full feature search of pairs of convex polytopes: the features that determine their contact, and
+the range in which these stay valid.
 
 Depth and normal of two polytopes are those of the nearest face of their Minkowski difference: a
-face of one body with a vertex of the other, or two edges that cross on the Gauss map. Of hundreds
-of features only those near the contact matter while the bodies move little relative to each other.
-The search finds them together with a validity radius (``ActiveFeatures.validity_radius``): within
-this relative displacement, the active features give the same result as all features.
+face of one body with a vertex of the other, or two edges that cross on the Gauss map. Among
+hundreds of features only those near the contact matter while the bodies move little relative to
+each other. The search finds them together with a validity radius
+(``ActiveFeatures.validity_radius``): within this relative displacement, the active features give
+the same result as all features.
 
 - The overlap along a face normal changes by no more than the displacement, and so does the depth. A
   face is excluded if its overlap exceeds the depth by more than twice the displacement.
@@ -402,7 +403,7 @@ def overlap_upper_bound(
     overlap = jnp.minimum(_min_axis_overlap(own_a, of_b), _min_axis_overlap(of_a, own_b))
 
     def gilbert_step(_: Array, found: tuple[Array, Vector]) -> tuple[Array, Vector]:
-        overlap, way = found  # way: from a point of a to one of b
+        overlap, way = found  # displacement from a point of a to one of b
         high, low = dot(expand_dims(way, 0), own_a), dot(expand_dims(way, 0), of_b)
         most, least = jnp.max(high, axis=0), jnp.min(low, axis=0)
         length = jnp.maximum(vector.norm(way), jnp.finfo(most.dtype).tiny ** 0.5)
