@@ -73,7 +73,7 @@ class _SignalState:
         self.ending = threading.Lock()
         self.savers: dict[object, Save] = {}
         self.said: list[str] = []  # texts of savers that were called
-        self.woken: Any = None  # the end of a socket that the signal writes to
+        self.woken: Any = None  # the socket that a signal writes to
 
 
 _STATE = _SignalState()
@@ -167,7 +167,7 @@ def end_process() -> NoReturn:
     """Save the results so far, print their location in one line, and end the process with 128 + the
     signal's number.
     """
-    if not _STATE.ending.acquire(blocking=False):  # another thread is about to
+    if not _STATE.ending.acquire(blocking=False):  # another thread is already ending the process
         threading.Event().wait()
     _call_with_timeout(SAVE_TIMEOUT, _save_all)
     _call_with_timeout(EXIT_TIMEOUT, _print_ending)

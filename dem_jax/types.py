@@ -173,8 +173,8 @@ class Parts(PytreeBase):
     """
 
     owner: Array | None  # [M] int32: the piece that it is a part of; None: M = N, part k is piece k
-    surface: Array | None  # [M] int32: the same number for parts that continue each other, -1 of
-    # all others; None: all -1
+    surface: Array | None  # [M] int32: surface number, equal for parts that continue each other, -1
+    # for all others; None: all -1
     centre: Array | None  # [3, M] (m): in the principal frame of the piece, which also gives the
     # axes of the part; None: 0
     radius: Array  # [M] (m): of a sphere; 0 of a polytope
@@ -263,7 +263,7 @@ class Walls(PytreeBase):
     group: Array  # [W] int32
     material: Array  # [W] int32: row of Materials
     plates: Plates
-    plane: Array | None  # [W] int32: the same number for panels that are one surface, -1 for all
+    plane: Array | None  # [W] int32: surface number of panels that continue each other, -1 for all
     # others
     pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
     motions: tuple  # kinds of walls.motion, each for all groups; empty if all rest
@@ -290,7 +290,7 @@ class Materials(PytreeBase):
     youngs_modulus: Array  # [M] (Pa): softened by NSF
     poisson_ratio: Array  # [M]
     restitution: Array  # [M, M]: epsilon of eq. 6
-    friction: Array | None  # [M, M]: mu; None: no pair has any, and nothing of friction is computed
+    friction: Array | None  # [M, M]: mu; None: no pair has any, and friction is not computed
     pull_off: Array | None  # [M, M] (N): largest adhesive force; None: no pair has any
     rolling: Array | None  # [M, M]: mu_r; None: no pair has any
     is_wall: tuple[bool, ...] = static_field()  # [M] bool: whether it is a material of walls
@@ -340,13 +340,13 @@ class System(PytreeBase):
     # there are cells
     partition: Partition | None = static_field()  # of jax-md's list
     has_hulls: bool = static_field()  # whether any piece is not a sphere
-    alike: tuple[str, ...] = static_field()  # "hulls" if all polytopes of pieces are one shape,
-    # "spheres" if all spheres are, of one material; never of pieces of several parts
+    alike: tuple[str, ...] = static_field()  # "hulls" if all polytopes of pieces have one shape,
+    # "spheres" if all spheres have one shape and material; empty for pieces of several parts
     escape_stops: bool = static_field()  # whether a piece outside the domain stops the run
     has_rotation: bool = static_field()
-    may_tie: bool = static_field()  # whether separating axes of polytopes may tie exactly: of
+    may_tie: bool = static_field()  # whether separating axes of polytopes may tie exactly, as for
     # pieces that a scene places one by one
-    ledger: bool = static_field()  # whether work and dissipation are added up
+    ledger: bool = static_field()  # whether work and dissipation are accumulated
     statistics: CollisionBins | None  # of collisions with walls; None without statistics
     sample_parts: int = static_field()  # parts of a sample interval with more than block_steps
     # steps, with a rebuild before each
@@ -354,9 +354,9 @@ class System(PytreeBase):
     # that would exceed it
     slot_block: int = static_field()  # largest number of contacts that are computed at a time; 0:
     # all slots at once
-    present: Array | None  # [N] bool: False for the last pieces of a run that has fewer than others
-    # of its ensemble; None: all are
-    exchanges: bool = static_field()  # whether pieces come in and leave: State.exchange
+    present: Array | None  # [N] bool: False for the padding of a run with fewer pieces than others
+    # of its ensemble; None: all are present
+    exchanges: bool = static_field()  # whether pieces enter and leave, see State.exchange
     runs: int = static_field()  # R, number of independent runs in this system
     blocks: tuple[str, ...] = static_field()  # names of the B blocks
     quantities: tuple = static_field()  # dynamics.quantity.Quantity of each sampled quantity
@@ -411,7 +411,7 @@ class PairConstants(PytreeBase):
     surface_a: Array | None = None  # [P] int32: of a, if others continue it: Walls.plane, or
     # numbered after these Parts.surface; else -1
     surface_b: Array | None = None  # [P] int32: Parts.surface of b
-    patch: PatchMarker | None = None  # None: they touch at a point, or without friction
+    patch: PatchMarker | None = None  # None for contacts at a point, or without friction
 
 
 @pytree

@@ -26,8 +26,8 @@ class ExchangePlan:
     """The inlet and the outlet of a scene; fields of a missing one are None."""
 
     interval: float  # s between two exchanges
-    inlet_box: Corners | None  # in which new pieces begin, whole
-    outlet_height: float | None  # m: centres below this are taken out
+    inlet_box: Corners | None  # contains new pieces entirely
+    outlet_height: float | None  # m: pieces with centres below this are removed
     waiting_places: np.ndarray  # [N, 3] (m): where each piece waits, far from all others
 
 

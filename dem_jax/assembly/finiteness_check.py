@@ -13,7 +13,8 @@ from dem_jax.scene import Scene
 from dem_jax.scene.unusual_numbers import most_unusual_key
 from dem_jax.types import State, System
 
-MOST_STEPS = 2**31 - 2**17  # they are counted in 32 bits, beyond the last by those until a rebuild
+MOST_STEPS = 2**31 - 2**17  # steps are counted in 32 bits, with a reserve for the steps until a
+# rebuild
 MOST_PIECES = 10**6
 # of a System
 FINITE_PARTS = (

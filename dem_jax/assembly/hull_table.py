@@ -170,8 +170,8 @@ def _cross_widths(
     """C[i, m] = sum of |g_k x e_i| over the generators k for which g_k x e_i is parallel to n_m,
     [D, F/2] (m).
     """
-    generators = half_lengths[:, None] * directions[: len(half_lengths)]  # the rest of the
-    # directions pad
+    generators = half_lengths[:, None] * directions[: len(half_lengths)]  # further directions are
+    # padding
     turned = np.cross(generators[None], directions[:, None])  # [i, k, 3]
     size = np.linalg.norm(turned, axis=-1)
     i, k = np.nonzero(size > 1e-12 * half_lengths)

@@ -27,7 +27,8 @@ from dem_jax.types import (
     as_array,
 )
 
-REBUILD = jax.jit(neighbour_list.rebuild_neighbour_list)  # traced once for all systems of a form
+REBUILD = jax.jit(neighbour_list.rebuild_neighbour_list)  # traced once for all systems of the same
+# form
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 
 

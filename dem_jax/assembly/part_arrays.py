@@ -18,7 +18,7 @@ class PiecePart:
 
     shape: Shape  # about its own centre; its principal frame is that of the piece
     centre: np.ndarray  # [3] (m): in that frame
-    label: int  # of the surface that it belongs to, -1: of its own
+    label: int  # of its surface; -1 for a part without shared surface
     continued: Continuation | None
 
 

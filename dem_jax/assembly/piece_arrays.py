@@ -169,7 +169,7 @@ def _decomposition_options(row: PieceShape) -> dict[str, Any]:
 class PieceSet:
     """The N pieces of a scene before placement."""
 
-    shapes: tuple[shapes.Shape, ...]  # of each piece, scaled; one object where pieces are alike
+    shapes: tuple[shapes.Shape, ...]  # of each piece, scaled; identical pieces share one object
     materials: tuple[str | None, ...]  # name of the material of each; None: the section [material]
     numbers: tuple[int, ...]  # pieces in the portion, on the feeder if there is one, and waiting if
     # there is an inlet; () for listed pieces

@@ -9,7 +9,8 @@ import numpy as np
 from dem_jax.errors import SceneError
 from dem_jax.scene import Bucket, ConvexShape, Feeder, Wall
 
-LARGEST_PIECE, LARGEST_WALL = 1.0, 10.0  # m; a bean in mm taken for m is larger, and so is a bucket
+LARGEST_PIECE, LARGEST_WALL = 1.0, 10.0  # m; a bean or bucket in mm that is read as metres is
+# larger
 
 
 def check_stl_unit(

@@ -82,7 +82,7 @@ from dem_jax.types import Array, Hulls, Parts, State, System, float_dtype
 from dem_jax.walls import motion
 
 WALL_SECTIONS = ("weigh_bucket", "feed_bucket", "feeder", "drop", "cycle")  # sections of a scene
-# that walls are made of
+# that define walls
 SKIN_FRACTION = 0.03  # of the width of the narrowest piece: see broad_phase.neighbour_list
 
 
@@ -93,7 +93,7 @@ class AssembledSystem:
     system: System
     state: State
     step: TimeStep
-    shortest_contact_time: float  # s: how long the shortest contact that it can have lasts, about
+    shortest_contact_time: float  # s: approximate duration of the shortest possible contact
     shapes: tuple[Shape, ...]  # of each piece, scaled, body frame of the user
     frames: np.ndarray  # [N, 4]: principal frame to body frame, of each piece
     settling_steps: int  # steps before time zero

@@ -20,8 +20,8 @@ from dem_jax.math import vector
 from dem_jax.math.compaction import EMPTY, WORD_BITS, find_set_bits, find_set_entries, pack_mask
 from dem_jax.types import Array, OverflowReport, Partition, System, as_array
 
-ALL_PAIRS_LIMIT = 700  # "auto" tests all pairs of up to this number of pieces, as fast as any list;
-# cells for more
+ALL_PAIRS_LIMIT = 700  # "auto" tests all pairs up to this number of pieces, which is as fast as any
+# list, and uses cells beyond
 TABLE_MIN_PARTS = 128  # from this number of parts on "all-pairs" uses a table
 CUTOFF_MARGIN = 1e-4  # relative excess of the cutoff of jax-md's list over the sum of its terms
 

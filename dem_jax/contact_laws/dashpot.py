@@ -35,8 +35,8 @@ class SpringHistory(NamedTuple):
     """History of contacts with an elastic spring, at the last step."""
 
     overlap: Array  # [P] (m): ``elastic_overlap``
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see
-    # ``friction``; None without
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes; [4, P] with patches, see
+    # ``friction``; None without friction
 
 
 def damping_ratio(restitution: Array) -> Array:

@@ -37,7 +37,8 @@ from dem_jax.types import PatchMarker, pytree
 Array = jax.Array
 
 LINEAR_LIMIT = 0.9  # of D: from there the force continues along its tangent
-NODES = 24  # of the quadrature of the loading time, whose integrand is smooth: 1e-6 up to LINEAR
+NODES = 24  # of the quadrature of the loading time, whose integrand is smooth: error 1e-6 up to
+# LINEAR_LIMIT
 
 
 class DensifyingPair(NamedTuple):
@@ -48,7 +49,7 @@ class DensifyingPair(NamedTuple):
     ratio: Array  # zeta
     mass: Array  # (kg): effective mass
     friction: Array | None  # mu
-    patch: PatchMarker | None = None  # of bodies that touch over one
+    patch: PatchMarker | None = None  # for bodies that touch over a patch
 
 
 @pytree
@@ -185,8 +186,8 @@ def largest_overlap(energy: Real) -> Real:
     inside = np.real(1 + lambertw(-np.exp(-1 - energy)))
     inside = np.where(energy < 1e-10, np.sqrt(2 * energy), inside)
     edge, gap = -LINEAR_LIMIT - np.log(1 - LINEAR_LIMIT), 1 - LINEAR_LIMIT
-    more = np.maximum(energy - edge, 0)  # U = edge + d LINEAR / gap + d^2 / (2 gap^2) at x = LINEAR
-    # + d
+    more = np.maximum(energy - edge, 0)  # U = edge + d LINEAR_LIMIT / gap + d^2 / (2 gap^2) at x =
+    # LINEAR_LIMIT + d
     beyond = LINEAR_LIMIT + gap * (np.sqrt(LINEAR_LIMIT**2 + 2 * more) - LINEAR_LIMIT)
     return np.where(energy > edge, beyond, inside)
 

@@ -48,7 +48,7 @@ class ElasticPlasticPair(NamedTuple):
     ratio: Array  # zeta
     mass: Array  # (kg): effective mass
     friction: Array | None  # mu
-    patch: PatchMarker | None = None  # of bodies that touch over one
+    patch: PatchMarker | None = None  # for bodies that touch over a patch
 
 
 class ElasticPlasticHistory(NamedTuple):
@@ -56,8 +56,8 @@ class ElasticPlasticHistory(NamedTuple):
 
     overlap: Array  # [P] (m): dashpot.elastic_overlap
     deepest: Array  # [P] (m): s_m, the largest overlap since first touch
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see
-    # ``friction``; None without
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes; [4, P] with patches, see
+    # ``friction``; None without friction
 
 
 class FlattenedContact(NamedTuple):

@@ -26,7 +26,7 @@ from dem_jax.math import vector
 from dem_jax.math.vector import Array, Vector
 from dem_jax.types import PatchMarker
 
-Shear = tuple[Array, ...]  # [P] (N): tangential force on b, x, y, z, and of a patch f,
+Shear = tuple[Array, ...]  # [P] (N): tangential force on b, x, y, z, and for a patch f,
 # counter-clockwise about the normal
 
 

@@ -42,7 +42,7 @@ class HertzMindlinPair(NamedTuple):
     tangential: Array  # (N/m^1.5): K_t / sqrt(s)
     mass: Array  # (kg): effective mass
     friction: Array | None  # mu
-    patch: PatchMarker | None = None  # of bodies that touch over one
+    patch: PatchMarker | None = None  # for bodies that touch over a patch
 
 
 @pytree

@@ -33,7 +33,7 @@ class LinearDashpotPair(NamedTuple):
     damping: Array  # (N s/m): c
     mass: Array  # (kg): effective mass
     friction: Array | None  # mu
-    patch: PatchMarker | None = None  # of bodies that touch over one
+    patch: PatchMarker | None = None  # for bodies that touch over a patch
 
 
 @pytree

@@ -43,7 +43,7 @@ class WaltonBraunPair(NamedTuple):
     friction: Array | None  # mu
     mass: Array | None  # (kg): effective mass, with damping
     size: Array | None = None  # (m): L of the smaller body, with quasi-static damping
-    patch: PatchMarker | None = None  # of bodies that touch over one
+    patch: PatchMarker | None = None  # for bodies that touch over a patch
 
     @property
     def unload_stiffness(self) -> Array:
@@ -57,8 +57,8 @@ class WaltonBraunHistory(NamedTuple):
     force: Array  # [P] (N): F_n
     way: Array  # [P] (m): approach in the step on the loading line; negative on the unloading line,
     # 0 on the separation line
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see
-    # ``friction``; None without
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes; [4, P] with patches, see
+    # ``friction``; None without friction
     resting: quasi_static_damping.QuasiStaticHistory | None = None  # None: eqs 1-4 alone, without
     # quasi-static damping
 

@@ -56,7 +56,7 @@ def find_shared_contacts(system: System, slots: PairConstants) -> SharedContacts
     assert slots.surface_a is not None
     shared = slots.live & is_on_shared_surface(slots)
     panels, parts = system.walls.group.shape[0], system.parts.count
-    surfaces = panels + parts  # there are no more, see ``slots``
+    surfaces = panels + parts  # upper bound of the surface numbers, see ``pair_constants``
     a = jnp.where(slots.surface_a >= 0, slots.surface_a, surfaces + slots.a)
     b = slots.b
     if slots.surface_b is not None:

@@ -12,7 +12,7 @@ from dem_jax.types import Array, ContactHistory, PairConstants, System
 
 T = TypeVar("T")
 
-MIN_TILE_SIZE = 32  # slots: in blocks of 16 a step of 64 pieces takes a quarter longer
+MIN_TILE_SIZE = 32  # slots: with tiles of 16 a step of 64 pieces takes a quarter longer
 FEW_SLOTS, MANY_SLOTS = 64, 1024  # number of slots below which polytopes, and spheres, are faster
 # untiled
 

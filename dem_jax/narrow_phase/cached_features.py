@@ -359,7 +359,7 @@ def edges_inside(hulls: Hulls, rows: TableRows, rel: RelativePose) -> tuple[Arra
         )
 
         def cut_interval(k: Array | int, inside: tuple[Array, Array]) -> tuple[Array, Array]:
-            # the last begin earlier: no matter
+            # the last slice starts earlier and overlaps the previous one, which is harmless
             some = jax.lax.dynamic_slice_in_dim(planes, k * together, together, 1)
             start, end = edge_crossings(seen, unstack_vector(some), some[3])
             return jnp.maximum(inside[0], start), jnp.minimum(inside[1], end)
@@ -425,7 +425,7 @@ def _clip_edges(
         return inside
 
     def clip_further(k: Array | int, inside: tuple[Array, Array]) -> tuple[Array, Array]:
-        # the last begin earlier: no matter
+        # the last slice starts earlier and overlaps the previous one, which is harmless
         some = jax.lax.dynamic_slice_in_dim(every, k * PLANES_AT_ONCE, PLANES_AT_ONCE, 1)[
             ..., others
         ]

@@ -26,9 +26,9 @@ from dem_jax.narrow_phase.patch_moments import SecondMoments
 from dem_jax.narrow_phase.tied_axes import CandidateAxes
 from dem_jax.types import Array, Hulls, Plates
 
-# Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less
-# than this part of the depth, because an edge-edge axis nearly parallel to a face's flickers. The
-# depth stays the exact minimum.
+# Normals: a face normal is preferred to an edge-edge axis whose overlap is smaller by less than
+# this fraction of the depth, because edge-edge axes nearly parallel to a face normal alternate
+# between steps. The depth stays the exact minimum.
 FACE_PREFERENCE = 0.02
 ROUNDING_FACTOR = 2.0  # units in the last place of a bounding radius: smaller overlaps may have no
 # weight
@@ -731,7 +731,7 @@ def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> ContactGeometry:
     found = _sphere_contact(away, inside, face_normal, radius, centre)
     if part.interior_faces is None:
         return found
-    # Beside a part that another continues, the other has the contact.
+    # Beside a part that another one continues, the contact belongs to the other part.
     foot = vector.add_scaled(centre, found.depth - radius, found.normal)
     above = jnp.max(dot(part.normals, expand_dims(foot, 0)) - part.offsets, axis=0)
     return found._replace(
@@ -768,7 +768,7 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
     found = _sphere_contact(away, jnp.maximum(above, -least), inner, radius, centre)
     if a.seams is None:
         return found
-    # Beside a panel that another continues, the other has the contact.
+    # Beside a panel that another one continues, the contact belongs to the other panel.
     across = [
         dot(found.normal, vector.take_entries(a.seams, k)) for k in range(a.seams[0].shape[0])
     ]

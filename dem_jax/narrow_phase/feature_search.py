@@ -69,8 +69,8 @@ class _SelectedFeatures(NamedTuple):
 
     faces: Array  # [4, Kf]: planes
     corners: Array  # [Kv] int32: of the other
-    beyond: Array  # (m): overlap along the first face left out
-    above: Array  # (m): height of the first corner left out
+    beyond: Array  # (m): overlap along the first omitted face
+    above: Array  # (m): height of the first omitted corner
 
 
 class _SelectedEdges(NamedTuple):
@@ -79,7 +79,7 @@ class _SelectedEdges(NamedTuple):
     of_a: Array  # [E, P] int32
     of_b: Array  # [E', P] int32
     bound: Array  # [E, 2 P] (m): least overlap along the arc of each near edge
-    behind: Array  # [2 P] (m): of the first edge left out
+    behind: Array  # [2 P] (m): bound of the first omitted edge
     overlap: Array  # [E E', P] (m), see EdgePairs
     distance: Array
     gauss_map_gap: Array

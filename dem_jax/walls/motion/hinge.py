@@ -22,7 +22,7 @@ class Hinge:
     axis: Array  # [3, G]: unit direction
     swing: Array  # [G] (rad): angle of the open flap
     start: Array  # [G] (s)
-    opening: Array  # [G] (s): how long it takes
+    opening: Array  # [G] (s): duration
     dwell: Array  # [G] (s): open
     closing: Array  # [G] (s)
     period: Array  # [G] (s); 0: once
