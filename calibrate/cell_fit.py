@@ -6,12 +6,12 @@ After a tap the bucket swings freely,
     (m + p) x'' + c x' + k x = 0,    signal = a + b t + exp(-d t) (A cos w t + B sin w t),
     d = c / 2 (m + p),    w^2 = k / (m + p) - d^2,
 
-p being the load. The load makes it slower, which gives the mass: m = p f_p^2 / (f^2 - f_p^2). Mass,
-frequency and damping ratio are fitted to all taps at once by maximum likelihood; a, b, A and B of
-each tap are linear and are eliminated. The noise is an autoregressive process, estimated from the
-signal before taps and from the residuals. The covariance of the parameters is that of the
-likelihood, widened where taps scatter more than it lets expect, and by the accuracy of a load and a
-clock (SYSTEMATIC).
+p being the load. The load lowers the frequency, which gives the mass: m = p f_p^2 / (f^2 - f_p^2).
+Mass, frequency and damping ratio are fitted to all taps at once by maximum likelihood; a, b, A and
+B of each tap are linear and are eliminated. The noise is an autoregressive process, estimated from
+the signal before taps and from the residuals. The covariance of the parameters is that of the
+likelihood, widened where taps scatter more than expected, and by the accuracy of a load and a clock
+(SYSTEMATIC).
 """
 
 from collections.abc import Callable, Sequence
@@ -369,9 +369,9 @@ def _estimate_covariance(
     """Covariance of the parameters [P, P], the variance between taps relative to that of the noise,
     and degrees of freedom.
 
-    gradients: [n, P] of each tap. hessians: [n, P, P]. That of the likelihood by the variance
-    between taps, and each parameter at least with the variance that the gradients of the taps have
-    (sandwich).
+    gradients: [n, P] of each tap. hessians: [n, P, P]. The covariance is that of the likelihood
+    times the variance between taps; each parameter has at least the variance from the gradients of
+    the taps (sandwich).
     """
     count, size = gradients.shape
     scatter, freedom = PRIOR, PRIOR - size

@@ -1,8 +1,8 @@
 """Maximum likelihood of h_mean, gamma_low and gamma_high from estimated drop heights, eqs 18-22.
 
-Heights of a portion are normal about h_mean with a spread that is the portion's own: gamma_low for
-half of the portions, and half-normal above it for the others. Estimated heights also have errors of
-known covariance. The spread is integrated out by quadrature; intervals are those of the profile
+Heights of a portion are normal about h_mean with a spread of their own: gamma_low for half of the
+portions, and half-normal above it for the others. Estimated heights also have errors of known
+covariance. The spread is integrated out by quadrature; intervals are those of the profile
 likelihood, which may be lopsided.
 """
 

@@ -2,9 +2,9 @@
 parameters with intervals.
 
 The loss is an energy distance between summaries of measured and simulated traces, jointly and one
-by one. A coarse search finds the valley and Adam descends in it, with common random numbers at
-first, in the end with others in each step: a fit to the same few portions adapts to them. A third
-of the traces is kept out of the fit for the judgement.
+by one. A coarse search finds the valley and Adam descends in it, at first with common random
+numbers, finally with new ones in each step, as a fit to the same few portions adapts to them. A
+third of the traces is kept out of the fit for the judgement.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -1,8 +1,8 @@
 """The remaining momentum of the pieces while a portion lands, from the signal of a load cell and
 the known weight.
 
-A fixed-interval smoother (modified Bryson-Frazier form): the impulse of each sample is the weight's
-and a random one, and all is at rest in the end.
+A fixed-interval smoother (modified Bryson-Frazier form): the impulse of each sample is that of the
+weight and a random one, and all is at rest at the end.
 """
 
 from collections.abc import Sequence

@@ -195,7 +195,7 @@ def detect_signs(columns: Iterable[Sequence[str]], decimal: str | None = None) -
     """Decimal sign and sign of grouping of a table, from its columns of tidy numbers, or as
     `decimal` requires.
 
-    Raises `BadInput` where columns contradict each other or leave it open.
+    Raises `BadInput` if columns contradict each other or are ambiguous.
     """
     if decimal is not None:
         return Signs(decimal, "," if decimal == "." else ".")

@@ -221,8 +221,7 @@ def _check_writable(folder: Path, out: Path) -> None:
 def load_product_scene(request: ProductRequest) -> "Scene":
     """The scene of a drop, with STL files read.
 
-    Raises SceneError, and `BadInput` where it is not one portion that falls from one bucket into
-    another.
+    Raises SceneError, and `BadInput` unless one portion falls from one bucket into another.
     """
     from dem_jax import assembly
     from dem_jax.scene import load_scene

@@ -1,9 +1,8 @@
 """Least squares of many portions at once: each has parameters of its own, and all share those of
 the cell and of the pulse.
 
-Levenberg-Marquardt with exact derivatives. Each portion is damped by itself; the numbers that
-portions share are found from the Schur complement, so that the work grows with the number of
-portions alone.
+Levenberg-Marquardt with exact derivatives. Each portion has its own damping; the shared parameters
+follow from the Schur complement, so that the work is proportional to the number of portions.
 """
 
 from dataclasses import dataclass, replace
@@ -32,7 +31,7 @@ class Readings:
 
     edges: [T + 1] (s) of the sample intervals, 0 where a signal begins to show the portion; values:
     [K, T] (kg)
-    share: [K, pieces] of the weight, 0 for pieces that are not there
+    share: [K, pieces] of the weight, 0 for absent pieces
     weight, weight_sd: [K] (kg), and its standard deviation (infinite: unknown)
     inverse_mass, inverse_mass_sd: (1/kg) of the empty bucket, and its standard deviation
     """

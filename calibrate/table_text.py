@@ -143,8 +143,8 @@ def find_layout(
     """The layout of `lines`: the separator is the one with which most of them are rows of at least
     `least` values.
 
-    Raises `BadInput` where there are none, where a line below the first row is none, and where the
-    header has not as many cells as the rows.
+    Raises `BadInput` if there are no rows, if a line below the first row is no row, and if the
+    numbers of cells in header and rows differ.
     """
     lines = list(lines)
     if lines and (found := re.match(r"^\"?sep=(.)\"?\s*$", lines[0].text, re.I)):  # of Excel

@@ -1,7 +1,7 @@
 """The decision of a scale: a reading counts once its error bar is within the tolerance.
 
-1.96 standard deviations of a reading hold 95 % of the portions. Few portions are known when it is
-learnt how wide that is, so that errors have the tails of a t distribution of four degrees of
+An interval of 1.96 standard deviations of a reading contains 95 % of the portions. As the standard
+deviation is learnt from few portions, errors have the tails of a t distribution of four degrees of
 freedom, whose quantiles have a closed form: 99 % are within 3.25 standard deviations instead of
 2.58.
 """
@@ -18,7 +18,7 @@ NORMAL_95 = 1.96  # standard deviations of a reading that hold 95 %
 def is_decided(reading: Reading, tolerance: float, confidence: float = CONFIDENCE) -> Array:
     """Whether a reading counts: its error is within the tolerance (g) with this confidence.
 
-    Raises `BadInput` for a tolerance or a confidence that is none.
+    Raises `BadInput` for an invalid tolerance or confidence.
     """
     factor = check_decision(tolerance, confidence)
     return (reading.status != EMPTY) & (factor * reading.sd <= tolerance)
@@ -27,7 +27,7 @@ def is_decided(reading: Reading, tolerance: float, confidence: float = CONFIDENC
 def check_decision(tolerance: float, confidence: float) -> float:
     """The number of standard deviations of a reading that have this confidence.
 
-    Raises `BadInput` for a tolerance or a confidence that is none.
+    Raises `BadInput` for an invalid tolerance or confidence.
     """
     if not 0 < tolerance < np.inf:
         raise BadInput(f"tolerance = {tolerance:g} g: allowed: above 0")

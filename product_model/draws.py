@@ -1,8 +1,8 @@
 """Uniform random numbers of a key, those of ``jax.random.uniform``, in a form that is fast on a
 CPU.
 
-JAX rolls the rounds of Threefry into a loop on a CPU, each turn of which is a dozen tasks for a
-pool of threads: longer than all the rest of one portion. Written out, the rounds are one function.
+On a CPU, JAX computes the rounds of Threefry in a loop, each iteration of which is a dozen tasks
+for a thread pool: longer than all the rest of one portion. Unrolled, the rounds are one function.
 """
 
 from typing import Any

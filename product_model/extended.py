@@ -11,7 +11,7 @@ first, turn, rebound a little and slump with the heap. Here
    random part of `slump_depth`, with gravity lessened by the share `early_weight` of its weight
    that the flaps bear already;
 3. a landing gives its momentum in `impacts[j]` impacts. Their shares are those of a stick that is
-   broken again and again, and they are `impact_delay` apart, later ones further;
+broken repeatedly, and their distance is `impact_delay`, larger for later ones;
 4. an impact is a pulse whose length grows with its momentum to the power `pulse_exponent`;
 5. `early_weight` of the weight rests on the flaps dt_impact after the first touch, all of it
    dt_impact after the last landing.

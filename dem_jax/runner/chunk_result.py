@@ -79,8 +79,8 @@ def apply_stop_criterion(job: Job, span: ChunkResult, slow: bool) -> ChunkResult
     """The span with the decision of ``run.until_settled`` about its end; slow: whether all pieces
     were slow before it.
 
-    A portion at rest is released at once: no wall moves before the release, so nothing but the
-    step's number differs.
+    A portion at rest is released at once: no wall moves before the release, so that only the number
+    of the step differs.
     """
     rule = job.stop_rule
     if not rule:

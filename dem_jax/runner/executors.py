@@ -1,7 +1,7 @@
 """Strategies for a chunk: a single run; an ensemble in threads, in batches, on several devices, on
 several hosts.
 
-Each is a function of a Chunk. Which one, is chosen once for a job.
+Each is a function of a Chunk, chosen once for a job.
 """
 
 import os

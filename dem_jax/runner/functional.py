@@ -50,16 +50,18 @@ def model(
 def step(system: System, state: State) -> tuple[State, Sample]:
     """Advance a state by one time step.
 
-    Candidate pairs are found anew every ``system.block_steps`` steps. The decision depends on the number of the step only, so
-    that under ``vmap`` over parameters it remains a branch; ``has_overflowed`` tells whether that was often enough.
+    Candidate pairs are searched every ``system.block_steps`` steps. The decision depends only on
+    the number of the step, so that under ``vmap`` over parameters it remains a branch;
+    ``has_overflowed`` shows whether the interval was short enough.
 
     Args:
         system: of ``assemble``.
         state: of ``assemble``, or of the step before.
 
     Returns:
-        The next state, and a sample of it: the quantities of a run by name, ``sample.force`` is group -> [3] (N). Means and
-        maxima over a sample interval of the scene are complete in the last of its steps.
+        The next state, and a sample of it: the quantities of a run by name, ``sample.force`` is
+        group -> [3] (N). Means and maxima over a sample interval of the scene are complete in the
+        last of its steps.
     """
     state, sample = stepping.step(system, state)
     named = {
@@ -82,7 +84,7 @@ def has_overflowed(system: System, state: State) -> Array:
         state: of ``step``.
 
     Returns:
-        [] bool. False at all times for few pieces, whose pairs all have room.
+        [] bool. False at all times for few pieces, whose pairs all fit.
     """
     return jnp.logical_not(overflow_recovery.is_within_capacity(system, state.guard))
 

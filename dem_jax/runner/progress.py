@@ -101,7 +101,7 @@ class Progress:
 def _refresh_bar(bar: Any, ended: threading.Event) -> None:
     """Keep the bar's clock running while a program compiles or a chunk is computed.
 
-    The thread is given nothing else: it must not be the one that frees the arrays of a run.
+    The thread gets no other objects, as it must not be the one that frees the arrays of a run.
     """
     while not ended.wait(SCREEN_INTERVAL if sys.stderr.isatty() else LOG_INTERVAL):
         bar.refresh()

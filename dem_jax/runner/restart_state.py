@@ -42,7 +42,7 @@ def unpack_state(
     """System and state that ``pack_state`` was given; system, state: those that the scene begins
     with.
 
-    Raises RecordError for arrays that are missing or of another form: the file is damaged or of
+    Raises RecordError for arrays that are missing or have another shape: the file is damaged or has
     another version.
     """
     rows = []

@@ -126,7 +126,7 @@ def check_numbers(scene: Scene, built: assembly.AssembledSystem, values: Paramet
     """Raise SceneError for values that a scene does not allow, or that make this scene's time step
     unstable.
 
-    Values that stand for any number while JAX traces pass: the scene's own are in their place.
+    Traced values pass; the scene's own values are checked in their place.
     """
     given = {
         key: value

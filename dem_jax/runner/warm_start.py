@@ -14,7 +14,7 @@ from dem_jax.runner.progress import Progress
 def start_from_heap(job: Job, settling: Job) -> Job:
     """The job, started at its release from the heaps of another job: pieces and contacts.
 
-    Both are of the same pieces, walls and seeds. Raises SceneError and SimulationError if the other
+    Both have the same pieces, walls and seeds. Raises SceneError and SimulationError if the other
     cannot settle.
     """
     with jax.enable_x64(job.is_double), Progress(settling, False) as shown:

@@ -12,8 +12,8 @@ class Facets(NamedTuple):
     """The triangles of a convex hull.
 
     corners: [T, 3] indices of points. beside: [T, 3] the triangles across their sides. normals: [T,
-    3] outward, of length one. plane: [T] those of one number lie in a plane as far as the hull is
-    concerned that they are from.
+    3] outward, of length one. plane: [T] number of the plane, equal for triangles that are coplanar
+    to the accuracy of the hull.
     """
 
     corners: np.ndarray

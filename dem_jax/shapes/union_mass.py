@@ -49,8 +49,7 @@ def integrate_union(
 
     Overlaps of less than TOLERANCE of the size count as touching. Overlaps of polytopes are
     subtracted by inclusion and exclusion, balls by the part of their surface that is outside.
-    Raises SceneError for a ball that overlaps a polytope, and for polytopes of which too many
-    overlap in too many ways.
+    Raises SceneError for a ball that overlaps a polytope, and for polytopes with too many overlaps.
     """
     deep = {pair for pair, depth in depths.items() if depth > TOLERANCE * size}
     for i, j in deep:

@@ -1,7 +1,7 @@
 """Posterior of unknown parameters: drops at sampled points, weighted by published reference values.
 
 A published number is one drop, or a range of few. At each point its likelihood is that of a normal
-distribution with the mean and spread of our drops there, widened by the range that was read off (a
+distribution with the mean and spread of the drops there, widened by the published range (a
 synthetic likelihood: Wood, Nature 466 (2010) 1102-1104); numbers are taken as independent, and
 studies of the same points multiply. The points themselves are drawn evenly: their weights are those
 of a flat prior over the ranges.

@@ -97,8 +97,8 @@ class DashpotImpact:
     """A mass on a linear spring and dashpot whose force is never adhesive: central impact on a
     fixed wall, no gravity.
 
-    m s'' + 2 zeta omega m s' + m omega^2 s = 0, to where the force vanishes (contact.law.dashpot);
-    zeta < 1.
+    m s'' + 2 zeta omega m s' + m omega^2 s = 0, until the force vanishes
+    (``contact_laws.dashpot``); zeta < 1.
     """
 
     mass: float  # kg

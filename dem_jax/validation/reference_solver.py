@@ -4,10 +4,10 @@ scipy), event by event.
 Two spheres, or one and a fixed wall, touch with a normal law F(s, v) of overlap s and its rate v
 and an incremental tangential spring K_t(s) of at most mu F. The contact point lies in the middle of
 the overlap, so that the arm of the friction is R - s / 2. Between events (the spring begins or
-ceases to slide, a law goes over to its next branch, the force vanishes) all is smooth, and each
-part is solved to a relative 1e-11. The line of centres is taken not to turn meanwhile, which two
-spheres do by about v_t t / (R_a + R_b). Host side, numpy; written from the equations alone, knowing
-no code of the simulation.
+ceases to slide, a law changes to its next branch, the force vanishes) all is smooth, and each part
+is solved to a relative 1e-11. The rotation of the line of centres during the impact, about v_t t /
+(R_a + R_b) for two spheres, is neglected. Host side, numpy; written from the equations alone,
+independent of the code of the simulation.
 """
 
 from collections.abc import Callable, Sequence

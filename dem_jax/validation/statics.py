@@ -60,7 +60,8 @@ def tower_problem() -> Problem:
     """Two cuboids at the edge of a table, each as far out as it may: the upper one half of its
     length, both a quarter.
 
-    They stand up to exactly that and fall beyond; several parts of it on both sides.
+    They stand up to exactly this overhang and fall beyond it; the runs have several shares of it on
+    both sides.
     """
     length, _, height = CUBOID
     sunk = 1e-7  # m, about the overlap under their weight

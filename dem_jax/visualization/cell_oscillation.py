@@ -92,7 +92,7 @@ def _mean_over_periods(
     """Mean (kg) of readings [T] over the last whole periods (s), half of their range (kg), and the
     number of periods.
 
-    Those since the settled mass [T] (kg) has its final value, but at least one.
+    The periods are those since the settled mass [T] (kg) has its final value, but at least one.
     """
     samples = period / sample
     if samples > len(weight):

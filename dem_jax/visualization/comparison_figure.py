@@ -32,7 +32,7 @@ def plot_runs(
     """Save the figure of several runs, or of one, as PNG, PDF or SVG; see `draw_comparison_figure`.
     Returns the path.
 
-    Raises RecordError as plot.plot_run.
+    Raises RecordError as ``run_figure.plot_run``.
     """
     if len(runs) == 1:
         return run_figure.plot_run(runs[0], path, group, block, start, end)

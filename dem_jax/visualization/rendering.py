@@ -1,9 +1,9 @@
 """Pictures of a scene with its pieces: one instant, a film strip of several, or an animation. Host
 side, matplotlib.
 
-A piece is drawn part by part, so that all bodies are convex: the faces of one never hide each other
-once those that look away are left out, and the order in which two are drawn follows from the side
-of a plane between them on which the eye is.
+A piece is drawn part by part, so that all bodies are convex: the visible faces of one never hide
+each other, and the order in which two bodies are drawn depends on which side of a plane between
+them the eye is.
 """
 
 import heapq
@@ -90,16 +90,16 @@ def render_frames(
 ) -> Path:
     """Write a picture or an animation of stored poses; the path's suffix selects the kind.
 
-    frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group ->
-    list of (vertices [V, 3] (m), faces) in the group's rest frame, the first face being the surface
-    that the pieces touch; wall_pose: t -> group -> (rotation [3, 3], origin [3] (m)). path: .gif
-    and .mp4 are the animation, the first looping, of at most 200 frames at fps per second; .png,
-    .pdf, .svg the instant `at` (s; by default the last), or a film strip of the instants `strip`:
-    their times (s), or their number, evenly spaced. Each instant shows the stored frame nearest to
-    it. colour: "speed" or "piece". title: stands before the time. labels: words that stand before
-    the time of each instant of a strip. Returns the path. Raises RecordError for another format, no
-    frames, an instant before or after them, a file that cannot be written, and for .mp4 without
-    imageio-ffmpeg.
+    frames: io.run_data.Frames of a single run. shapes: a Shape for each of the N pieces. walls:
+    group -> list of (vertices [V, 3] (m), faces) in the group's rest frame, the first face being
+    the surface that the pieces touch; wall_pose: t -> group -> (rotation [3, 3], origin [3] (m)).
+    path: .gif and .mp4 are the animation, the first looping, of at most 200 frames at fps per
+    second; .png, .pdf, .svg the instant `at` (s; by default the last), or a film strip of the
+    instants `strip`: their times (s), or their number, evenly spaced. Each instant shows the stored
+    frame nearest to it. colour: "speed" or "piece". title: text before the time. labels: text
+    before the time of each instant of a strip. Returns the path. Raises RecordError for another
+    format, no frames, an instant before or after them, a file that cannot be written, and for .mp4
+    without imageio-ffmpeg.
     """
     path = Path(path)
     check_format(path, PICTURES + ANIMATIONS)

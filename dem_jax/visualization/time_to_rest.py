@@ -151,8 +151,8 @@ def _fewest_pieces(masses: np.ndarray, mass: float) -> int:
 def _count_fast(run: Run, block: str, settled: np.ndarray) -> np.ndarray:
     """[K] pieces that are fast at the end, other than those in another block.
 
-    As the run counted them, or by the last poses; else by the mass that has not settled, where all
-    pieces are to settle in the block. settled: [K] (kg), at the end.
+    The number comes from the run's own count or the last poses, otherwise from the mass that has
+    not settled, if all pieces must settle in the block. settled: [K] (kg), at the end.
     """
     if block in run.info.get("moving", {}):
         return np.ravel(run.info["moving"][block])

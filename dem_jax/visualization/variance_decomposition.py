@@ -1,7 +1,7 @@
 """Shares of chance and of the unknown numbers of the product in the scatter of an ensemble.
 
 The scatter of an answer is the variance of the normal scores y of its ranks, so that a single piece
-that rolls on does not decide it (rank regression: Iman and Conover, Technometrics 21 (1979)
+that keeps rolling does not dominate it (rank regression: Iman and Conover, Technometrics 21 (1979)
 499-509).
 
 Each run has its own numbers x_i (``ensemble --uncertain``), at probabilities p_i of their ranges.

@@ -29,11 +29,11 @@ def export_vtk(
     """Write pieces.pvd and walls.pvd, which ParaView opens as animations, and their frames into a
     folder.
 
-    frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group ->
-    list of (vertices [V, 3] (m), faces) in the group's rest frame; wall_pose: t -> group ->
-    (rotation [3, 3], origin [3] (m)), both or neither. Facets carry the piece's number, speed (m/s)
-    and spin (rad/s); those of walls the group's number, in the order of walls. Returns the paths of
-    the .pvd files. Raises RecordError if the folder cannot be written.
+    frames: io.run_data.Frames of a single run. shapes: a Shape for each of the N pieces. walls:
+    group -> list of (vertices [V, 3] (m), faces) in the group's rest frame; wall_pose: t -> group
+    -> (rotation [3, 3], origin [3] (m)), both or neither. Facets carry the piece's number, speed
+    (m/s) and spin (rad/s); those of walls the group's number, in the order of walls. Returns the
+    paths of the .pvd files. Raises RecordError if the folder cannot be written.
     """
     folder = Path(folder)
     solids = [surface_mesh(shape) for shape in shapes]

@@ -21,8 +21,9 @@ def time_to_weigh(
     """The first time (s) from which on a reading stays within a tolerance of the truth, to the end
     of the trace, [..].
 
-    time: [m] (s); readings: [.., m] and truth: [..], in the unit of the tolerance. nan: never, the
-    last reading is off, or one less than ``hold`` (s) before it, or the truth is not known (nan).
+    time: [m] (s); readings: [.., m] and truth: [..], in the unit of the tolerance. nan: never; the
+    last reading or one less than ``hold`` (s) before it is outside, or the truth is not known
+    (nan).
     """
     off = ~(np.abs(readings - np.asarray(truth)[..., None]) <= tolerance)
     last = np.where(off.any(axis=-1), off.shape[-1] - 1 - np.argmax(off[..., ::-1], axis=-1), -1)

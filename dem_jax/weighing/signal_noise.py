@@ -153,8 +153,8 @@ def delay_signal(rows: np.ndarray, samples: np.ndarray) -> np.ndarray:
 
     The integral of a signal is a cubic between the ends of its intervals, with the mean of both
     neighbours as its slope there, so that a delay changes no integral, and a signal that is a
-    parabola in time is delayed exactly. Before the first interval a signal is as in the first,
-    after the last as in the last.
+    parabola in time is delayed exactly. Beyond its ends a signal has the values of its first and
+    last interval.
     """
     count, delays = rows.shape[-1], np.ravel(samples)
     room = int(np.ceil(np.abs(delays).max())) + 2

@@ -25,10 +25,10 @@ class WeightTrace(NamedTuple):
     """Weight on a scale over time; ensembles have a leading axis of runs.
 
     time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..]
-    (kg), mass that lies there in the end. source: origin of the weight, in words. product: [.., T]
-    or a number (kg), mass that lies there over time. cell: the load cell that has measured the
-    weight; None: none. noise: of the scene; None: none. gravity: (m/s2). impact: [..] (s) first
-    force of the product, nan: there is none; None: where the weight begins.
+    (kg), final mass on the scale. source: origin of the weight, in words. product: [.., T] or a
+    number (kg), mass on the scale over time. cell: the load cell that has measured the weight;
+    None: none. noise: of the scene; None: none. gravity: (m/s2). impact: [..] (s) first force of
+    the product, nan: there is none; None: where the weight begins.
     """
 
     time: np.ndarray
@@ -65,7 +65,7 @@ def extract_trace(
     all of the weigh bucket.
 
     block: whose settled mass at the end is the truth, by default the weigh bucket's or the first;
-    truth (kg): instead of that. Raises RecordError for a group or block that is not there.
+    truth (kg): replaces that. Raises RecordError for a missing group or block.
     """
     series = getattr(run, "load_cell", {})
     section, cell = _find_load_cell(run)
