@@ -180,7 +180,7 @@ def test_a_run_has_the_parts_in_its_own_file(bent):
     assert row.shape == "compound" and row.stl is None and len(row.part) == 2
     assert re.match(r"bent\.stl: 2 convex parts, volume .* %.*, surfaces within", row.note)
     again = assembly.make_shape(row, "nowhere")
-    for field in ("vertices", "gyration", "principal", "fused", "offsets"):
+    for field in ("vertices", "gyration", "principal", "joint_labels", "offsets"):
         np.testing.assert_allclose(
             getattr(again, field), getattr(direct, field), rtol=1e-12, atol=1e-15
         )

@@ -381,9 +381,17 @@ def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeyp
     """Shapes, walls, hulls and the first state are made once for a hundred values, not for each."""
     in_system = [
         f"system.{name}"
-        for name in ("walls_of", "panel_arrays", "_hulls_of", "first_state", "placed")
+        for name in (
+            "lay_out_walls",
+            "build_panel_arrays",
+            "_build_hulls",
+            "build_initial_state",
+            "place_pieces",
+        )
     ]
-    made = dict.fromkeys(("pieces.goods_of", *in_system), 0)  # the first also where the room of all
+    made = dict.fromkeys(
+        ("piece_arrays.build_piece_set", *in_system), 0
+    )  # the first also where the room of all
     # runs is found
 
     def counted(name, function):
@@ -404,7 +412,7 @@ def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeyp
         100,
         parameters={"material.restitution": np.linspace(0.1, 0.5, 100).tolist()},
     )
-    assert job.sweep.leaves and made.pop("system.placed") == 1 + 100, (
+    assert job.sweep.leaves and made.pop("system.place_pieces") == 1 + 100, (
         "once, and for the seed of each run"
     )
     assert set(made.values()) == {1}, made
