@@ -282,6 +282,17 @@ class Walls(PytreeBase):
 
 
 @pytree
+class PatchMarker(PytreeBase):
+    """A marker without numbers: the bodies touch over a patch, not at a point, and have friction
+    about the normal.
+    """
+
+
+# What each pair of materials has: a table in Materials, values of pairs of bodies in MaterialPair.
+PAIR_PROPERTIES = ("restitution", "friction", "pull_off", "rolling")
+
+
+@pytree
 class Materials(PytreeBase):
     """The M materials of pieces and walls, and the properties of each pair of them; [1, 1] if all
     pairs have the same value.
@@ -294,6 +305,33 @@ class Materials(PytreeBase):
     pull_off: Array | None  # [M, M] (N): largest adhesive force; None: no pair has any
     rolling: Array | None  # [M, M]: mu_r; None: no pair has any
     is_wall: tuple[bool, ...] = static_field()  # [M] bool: whether it is a material of walls
+
+
+class MaterialPair(NamedTuple):
+    """Properties of two bodies, b a piece and a a piece or a wall, as input of a law; arrays [P],
+    or [1] if all pairs are alike.
+
+    Moduli are softened by NSF. Tuples hold the values of a and of b.
+    """
+
+    youngs_modulus: tuple[Array, Array]  # (Pa)
+    poisson_ratio: tuple[Array, Array]
+    size: tuple[Array, Array]  # (m): L of eqs 7 and 8; for a wall that of the piece
+    curvature: tuple[Array, Array]  # (1/m): one over the radius; 0 for a wall, for a polytope that
+    # of the sphere of its size
+    mass: Array  # (kg): effective mass
+    restitution: Array
+    friction: Array | None  # mu; None where no pair of the scene has any
+    pull_off: Array | None  # (N): largest adhesive force; None where no pair of the scene has any
+    rolling: Array | None = None  # mu_r; None where no pair of the scene has any
+    patch: PatchMarker | None = None  # for polytopes with friction; None for bodies that touch at a
+    # point
+
+    @property
+    def stiffness(self) -> Array:
+        """K (N/m): E L of both in series, eqs 5, 7 and 8."""
+        a, b = (e * size for e, size in zip(self.youngs_modulus, self.size, strict=True))
+        return a * b / (a + b)
 
 
 class Partition(NamedTuple):
@@ -360,13 +398,6 @@ class System(PytreeBase):
     runs: int = static_field()  # R, number of independent runs in this system
     blocks: tuple[str, ...] = static_field()  # names of the B blocks
     quantities: tuple = static_field()  # dynamics.quantity.Quantity of each sampled quantity
-
-
-@pytree
-class PatchMarker(PytreeBase):
-    """A marker without numbers: the bodies touch over a patch, not at a point, and have friction
-    about the normal.
-    """
 
 
 @pytree

@@ -16,7 +16,7 @@ from dem_jax.contact_laws.walton_braun import WaltonBraun
 from dem_jax.scene import Scene
 from dem_jax.scene.array_namespace import as_float_array, is_traced, is_zero
 from dem_jax.scene.material_properties import MaterialTable, build_material_table
-from dem_jax.types import Array, Materials, as_array
+from dem_jax.types import PAIR_PROPERTIES, Array, Materials, as_array
 
 
 def build_contact_law(scene: Scene, materials: Materials | None = None) -> ContactLaw:
@@ -78,10 +78,7 @@ def build_materials(
         SceneError: a material is not defined.
     """
     table = table or build_material_table(scene)
-    pairs: dict[str, Any] = {
-        name: _pairs(table, name, form)
-        for name in ("restitution", "friction", "pull_off", "rolling")
-    }
+    pairs: dict[str, Any] = {name: _pairs(table, name, form) for name in PAIR_PROPERTIES}
     return Materials(
         youngs_modulus=as_array(scene.material.softening * table.youngs_modulus),
         poisson_ratio=as_array(table.poisson_ratio),
@@ -97,7 +94,7 @@ def _pairs(table: MaterialTable, name: str, form: Materials | None) -> Array | N
     values = getattr(table, name)
     if form is None:
         touching = ~(table.is_wall[:, None] & table.is_wall)
-        is_absent = name != "restitution" and not is_traced(values) and not values[touching].any()
+        is_absent = not is_traced(values) and not values[touching].any()
         is_uniform = name in table.uniform
     else:
         is_absent = getattr(form, name) is None

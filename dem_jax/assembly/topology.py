@@ -34,7 +34,7 @@ from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.scene.array_namespace import as_float_array
 from dem_jax.scene.messages import suggest_choices
-from dem_jax.types import Materials, State, System
+from dem_jax.types import PAIR_PROPERTIES, Materials, State, System
 
 POSES = {"portion.position": "position", "portion.orientation": "orientation"}  # initial poses of a
 # portion as parameters fields of a System that depend on parameters
@@ -192,11 +192,7 @@ def _outline(
     materials = jax.eval_shape(
         lambda values: build_materials(insert_values(scene, values)), of_scene
     )
-    absent = [
-        name
-        for name in ("friction", "pull_off", "rolling")
-        if getattr(built.system.materials, name) is None
-    ]
+    absent = [name for name in PAIR_PROPERTIES if getattr(built.system.materials, name) is None]
     return Topology(
         scene=scene,
         layout=built.layout,

@@ -14,39 +14,11 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 
-from dem_jax.contact_laws.springs import Real, combine_in_series
+from dem_jax.contact_laws.springs import Real
 from dem_jax.math.vector import Vector
-from dem_jax.types import PatchMarker
+from dem_jax.types import MaterialPair as MaterialPair
 
 Array = jax.Array
-
-
-class MaterialPair(NamedTuple):
-    """Properties of two bodies, b a piece and a a piece or a wall, as input of a law; arrays [P],
-    or [1] if all pairs are alike.
-
-    Moduli are softened by NSF. Tuples hold the values of a and of b.
-    """
-
-    youngs_modulus: tuple[Array, Array]  # (Pa)
-    poisson_ratio: tuple[Array, Array]
-    size: tuple[Array, Array]  # (m): L of eqs 7 and 8; for a wall that of the piece
-    curvature: tuple[Array, Array]  # (1/m): one over the radius; 0 for a wall, for a polytope that
-    # of the sphere of its size
-    mass: Array  # (kg): effective mass
-    restitution: Array
-    friction: Array | None  # mu; None where no pair of the scene has any
-    pull_off: Array | None  # (N): largest adhesive force; None where no pair of the scene has any
-    rolling: Array | None = None  # mu_r; None where no pair of the scene has any
-    patch: PatchMarker | None = None  # for polytopes with friction; None for bodies that touch at a
-    # point
-
-    @property
-    def stiffness(self) -> Array:
-        """K (N/m): E L of both in series, eqs 5, 7 and 8."""
-        return combine_in_series(
-            *(e * size for e, size in zip(self.youngs_modulus, self.size, strict=True))
-        )
 
 
 class Torsion(NamedTuple):

@@ -2,10 +2,9 @@
 (slots).
 """
 
-from typing import overload
+from typing import Any, overload
 
-from dem_jax.contact_laws import MaterialPair
-from dem_jax.types import Array, Materials
+from dem_jax.types import PAIR_PROPERTIES, Array, MaterialPair, Materials
 
 BodyValues = tuple[Array, Array]  # of bodies a and b
 
@@ -19,16 +18,16 @@ def make_material_pair(
     mass: effective [P] (kg).
     """
     of = lambda table: (table[material[0]], table[material[1]])
+    pairs: dict[str, Any] = {
+        name: look_up_pair(getattr(materials, name), *material) for name in PAIR_PROPERTIES
+    }
     return MaterialPair(
         youngs_modulus=of(materials.youngs_modulus),
         poisson_ratio=of(materials.poisson_ratio),
         size=size,
         curvature=curvature,
         mass=mass,
-        restitution=look_up_pair(materials.restitution, *material),
-        friction=look_up_pair(materials.friction, *material),
-        pull_off=look_up_pair(materials.pull_off, *material),
-        rolling=look_up_pair(materials.rolling, *material),
+        **pairs,
     )
 
 
