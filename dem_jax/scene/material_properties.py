@@ -1,7 +1,7 @@
 """Materials of a scene as arrays: properties of each, and of each pair."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,7 @@ def build_material_table(scene: Scene) -> MaterialTable:
     rows = [_fill_material(scene.material, name, False) for name in _sort_names(of_pieces)]
     rows += [_fill_material(scene.material, name, True) for name in _sort_names(of_walls)]
     each = lambda key: as_float_array([getattr(row, key) for row in rows])
-    tabulate_pairs = {name: _pairs(scene, rows, key, rule) for name, (key, rule) in _RULES.items()}
+    pairs = {name: _tabulate_pairs(scene, rows, key, rule) for name, (key, rule) in _RULES.items()}
     touching = [
         (i, j)
         for i, a in enumerate(rows)
@@ -76,15 +76,13 @@ def build_material_table(scene: Scene) -> MaterialTable:
         youngs_modulus=each("youngs_modulus"),
         poisson_ratio=each("poisson_ratio"),
         uniform=frozenset(
-            name
-            for name, values in tabulate_pairs.items()
-            if _are_one([values[i][j] for i, j in touching])
+            name for name, values in pairs.items() if _are_one([values[i][j] for i, j in touching])
         ),
-        **{name: as_float_array(values) for name, values in tabulate_pairs.items()},
+        **{name: as_float_array(values) for name, values in pairs.items()},
     )
 
 
-def _pairs(
+def _tabulate_pairs(
     scene: Scene,
     rows: Sequence[_MaterialRow],
     key: str,
@@ -170,6 +168,9 @@ def _sort_names(names: Sequence[str | None]) -> list[str | None]:
     return sorted(dict.fromkeys(names), key=lambda name: name is not None)
 
 
+_WALL_KEYS = {"youngs_modulus": "wall_youngs_modulus", "poisson_ratio": "wall_poisson_ratio"}
+
+
 def _fill_material(base: Material, name: str | None, is_wall: bool) -> _MaterialRow:
     """The material with the name, None: [material] itself, as pieces or as walls have it."""
     own = NamedMaterial() if name is None else base.named_materials[name]
@@ -178,18 +179,11 @@ def _fill_material(base: Material, name: str | None, is_wall: bool) -> _Material
         value = getattr(own, key)
         return getattr(base, inherited or key) if value is None else value
 
+    keys = [field.name for field in fields(_MaterialRow) if field.name not in ("name", "is_wall")]
     return _MaterialRow(
         name=name or (WALL_NAME if is_wall else DEFAULT_NAME),
         is_wall=is_wall,
-        density=inherit_value("density"),
-        youngs_modulus=inherit_value("youngs_modulus", "wall_youngs_modulus" if is_wall else None),
-        poisson_ratio=inherit_value("poisson_ratio", "wall_poisson_ratio" if is_wall else None),
-        restitution=inherit_value("restitution"),
-        friction_piece=inherit_value("friction_piece"),
-        friction_wall=inherit_value("friction_wall"),
-        rolling_friction=inherit_value("rolling_friction"),
-        pull_off=inherit_value("pull_off"),
-        wall_surface=inherit_value("wall_surface"),
+        **{key: inherit_value(key, _WALL_KEYS.get(key) if is_wall else None) for key in keys},
     )
 
 
