@@ -5,9 +5,10 @@ mistakes.
 import numpy as np
 import pytest
 
-from dem_jax import assembly
+from dem_jax import assembly, types
 from dem_jax.errors import SceneError
 from dem_jax.scene import describe_scene, load_scene, material_properties, parse_scene
+from dem_jax.scene.sections.material import Pair
 
 SCENE = """
 base = "plate-drop"
@@ -261,3 +262,13 @@ def test_a_wall_group_is_of_one_material(scene):
         match=r"wall\.1\.material = steel: wall group 'all' has none; allowed: one material",
     ):
         assembly.assemble_system(scene.replace(wall=rows))
+
+
+def test_a_property_of_pairs_has_a_key_a_rule_and_arrays():
+    """What a new one takes: the files of its key, of its rule, and of its arrays."""
+    rules = material_properties._RULES
+    assert set(rules) == set(types.PAIR_PROPERTIES)
+    for name, (key, _) in rules.items():
+        assert key in Pair.model_fields
+        records = material_properties.MaterialTable, types.Materials, types.MaterialPair
+        assert all(name in record.__annotations__ for record in records)

@@ -157,9 +157,7 @@ class Pair(Section):
 
     @model_validator(mode="after")
     def _says_something(self) -> "Pair":
-        said = (self.restitution, self.friction, self.rolling_friction, self.pull_off)
-        if all(value is None for value in said):
-            raise ValueError(
-                "missing: restitution, friction, rolling_friction, pull_off; at least one must be given"
-            )
+        keys = [key for key in type(self).model_fields if key != "of"]
+        if all(getattr(self, key) is None for key in keys):
+            raise ValueError(f"missing: {', '.join(keys)}; at least one must be given")
         return self
