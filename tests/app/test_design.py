@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import product_model.__main__ as product_model_program
 from dem_jax.app import facts
 from dem_jax.app.design import (
     CELL_FIELDS,
@@ -22,6 +23,8 @@ from dem_jax.app.design import (
     write_study,
 )
 from dem_jax.app.drawing import PIXELS_PER_MM, draw_piece
+from dem_jax.app.pages.model import DOWNLOADS, make_commands
+from dem_jax.cli.main import build_parser
 from dem_jax.errors import SceneError
 from dem_jax.study.config import Study
 
@@ -83,8 +86,6 @@ def test_choosing_another_product_or_bucket_forgets_its_changes_only():
 
 
 def test_commands_are_those_of_the_command_line():
-    from dem_jax.cli.main import build_parser
-
     one, many = (name_run_command(replace(Design(seed=3), runs=n), "nut") for n in (1, 16))
     assert one == ["dem-jax", "run", "nut.toml", "--seed", "3", "--out", "nut.h5", "--no-plot"]
     assert build_parser().parse_args(one[1:]).seed == 3
@@ -146,3 +147,10 @@ def test_a_thinned_curve_keeps_its_peak_and_its_ends():
 def test_fields_are_those_of_a_scene(tmp_path):
     scene = replace(Design(), has_load_cell=True).read_scene(tmp_path)
     assert all(read_number(scene, each.key) is not None for each in (*RELEASE_FIELDS, *CELL_FIELDS))
+
+
+@pytest.mark.parametrize("download", DOWNLOADS, ids=lambda each: each.label)
+def test_each_download_is_a_command_that_its_program_takes(download):
+    program, *argv = make_commands(download, "nut.h5")
+    parsers = {"dem-jax": build_parser, "product-model": product_model_program._parser}
+    assert parsers[program]().parse_args(argv).command == download.verb

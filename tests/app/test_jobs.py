@@ -31,7 +31,7 @@ def test_a_job_runs_what_its_command_says(tmp_path):
     async def run():
         runner = JobRunner(tmp_path)
         try:
-            good = await runner.run(["dem-jax", "scenes"])
+            good = await runner.run(["dem-jax", "list", "scenes"])
             bad = await runner.run(["dem-jax", "run", "none.toml"])
             return good, bad
         finally:
@@ -54,10 +54,10 @@ def test_a_crash_and_a_cancel_are_told_and_the_next_job_runs(tmp_path):
                 await asyncio.sleep(0.01)
             os.kill(crashed.process.pid, signal.SIGKILL)
             await task
-            waiting = runner.enter(["dem-jax", "scenes"])
+            waiting = runner.enter(["dem-jax", "list", "scenes"])
             runner.cancel(waiting)
             await runner.follow(waiting)
-            return crashed, waiting, await runner.run(["dem-jax", "buckets"])
+            return crashed, waiting, await runner.run(["dem-jax", "list", "buckets"])
         finally:
             await runner.close()
 
@@ -91,7 +91,7 @@ def test_the_loop_answers_while_a_job_runs(tmp_path):
     async def run():
         runner, pauses = JobRunner(tmp_path), []
         try:
-            job = asyncio.create_task(runner.run(["dem-jax", "buckets"]))
+            job = asyncio.create_task(runner.run(["dem-jax", "list", "buckets"]))
             while not job.done():
                 before = time.perf_counter()
                 await asyncio.sleep(0.01)

@@ -41,8 +41,8 @@ DOWNLOADS = (
     ),
     Download("Report as PDF", "The same for print", "dem-jax", "report", "-report.pdf"),
     Download("Spreadsheet", "XLSX with all series", "dem-jax", "export", ".xlsx"),
-    Download("Animation", "GIF of the drop", "dem-jax", "render", ".gif"),
-    Download("3-D model", "glTF for slides and Blender", "dem-jax", "gltf", ".glb"),
+    Download("Animation", "GIF of the drop", "dem-jax", "export", ".gif"),
+    Download("3-D model", "glTF for slides and Blender", "dem-jax", "export", ".glb"),
     Download(
         "FMU", "Fitted model for Simulink and other tools", "product-model", "fmu", ".fmu", True
     ),
