@@ -185,7 +185,7 @@ def test_topologies_of_one_program_are_equal_and_compile_once():
     assert len(traced) == 1 and masses[1] / masses[0] == pytest.approx(350 / 300, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["plate-drop", "weigh-bucket", "weighing-station"])
+@pytest.mark.parametrize("name", ["plate-drop", "weighing-station"])
 def test_parameters_of_a_scene_give_the_arrays_of_its_run(name):
     """The bits of the system and of the state that simulate begins with."""
     scene = dem_jax.load_scene(name, {"portion.count": 3} if name != "plate-drop" else {})
