@@ -36,9 +36,7 @@ def select_uncertain_rows(scene: Scene, without: Sequence[str] = ()) -> list[Unc
     """
     rows = [row for row in scene.uncertain if row.key not in without]
     if not rows:
-        allowed = (
-            "a product with ranges (dem-jax list products NAME), or [[uncertain]] with key and range"
-        )
+        allowed = "a product with ranges (dem-jax list products NAME), or [[uncertain]] with key and range"
         raise SceneError(
             f"{scene.name}: uncertain = []: no number of the scene has a range; allowed: {allowed}"
         )
