@@ -52,7 +52,7 @@ def outside():  # holds the main thread for a minute, without Python's lock and 
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**8)
 
 def while_writing():
-    with process.undisturbed():
+    with process.defer_signals():
         time.sleep(0.2)
         Path("whole").touch()
     outside()
@@ -62,11 +62,11 @@ def save():
     return "what was computed before is in drop.h5"
 
 def scenes_command(_):
-    with process.saving(save):
+    with process.save_on_interrupt(save):
         print("ready", flush=True)
         globals()[sys.argv.pop()]()
 
-scenes.scenes = scenes_command
+scenes.show_scenes = scenes_command
 sys.exit(main.main())
 """
 

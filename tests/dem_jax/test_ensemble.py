@@ -176,10 +176,10 @@ SHARDED = """
 import sys, jax, numpy as np
 jax.config.update("jax_enable_x64", True)
 import dem_jax
-from dem_jax.runner import execute, programs
-execute.in_threads = execute.on_devices
+from dem_jax.runner import executors, programs
+executors.run_threaded = executors.run_on_devices
 runs = dem_jax.ensemble("scene.toml", runs=4, seed=7)
-(program,) = programs.KEPT.values()
+(program,) = programs.EXECUTABLES.values()
 spread = len(program.input_shardings[0][1].step.device_set)
 series = {path: getattr(runs, path.split("/")[0])[path.split("/")[1]] for path in sys.argv[2].split()}
 np.savez(sys.argv[1], devices=spread, position=runs.pieces.position, **series)

@@ -22,18 +22,18 @@ port, index = sys.argv[1:3]
 jax.distributed.initialize(coordinator_address=f"localhost:{port}", num_processes=2, process_id=int(index))
 import dem_jax
 import dem_jax.runner.job
-from dem_jax.runner import execute, hosts, loop
-from dem_jax.runner.interface import drive
-from dem_jax.runner.job_setup import prepare
-from dem_jax.io import record
+from dem_jax.runner import executors, loop, multihost
+from dem_jax.runner.interface import run_job
+from dem_jax.runner.job_setup import prepare_job
+from dem_jax.io import run_files
 from dem_jax.errors import RecordError
 dem_jax.runner.job.CHUNK_TIME = 0.007
 mine, other = int(index) == 0, int(index) == 1
-calls, threads = [], execute.in_threads
+calls, threads = [], executors.run_threaded
 def counted(chunk):
     calls.append(len(chunk.state.step))
     return threads(chunk)
-execute.in_threads = counted
+executors.run_threaded = counted
 def caught(function):
     try:
         return function()
@@ -45,7 +45,7 @@ held = dem_jax.ensemble("scene.toml", runs=3, seed=7)
 written = dem_jax.ensemble("scene.toml", runs=3, seed=7, out=f"runs-{index}.h5")
 scene = dem_jax.load_scene("scene.toml", {"run.duration": 0.01})
 dem_jax.ensemble(scene, runs=3, seed=7, out="short.h5" if mine else "no.h5")
-hosts.exchange(lambda: None)
+multihost.all_gather(lambda: None)
 longer = dem_jax.resume("short.h5", duration=0.05)
 same = set(calls), held, written, longer
 single = dem_jax.ensemble(dem_jax.load_scene("scene.toml", {"run.duration": 2e-3}), runs=1, seed=7)
@@ -59,10 +59,10 @@ wrong = {
     "differs": go("material.restitution", 0.2 if mine else 0.3),
     "unknown": go("run.step", "auto" if mine else 1.0),
 }
-execute.in_threads = lambda *a: counted(*a) if mine else 1 / 0
+executors.run_threaded = lambda *a: counted(*a) if mine else 1 / 0
 wrong["computing"] = go()
-execute.in_threads = counted
-append, recorded = record.Writer.append, loop.rows_of
+executors.run_threaded = counted
+append, recorded = run_files.Writer.append, loop.select_new_rows
 def full(self, samples, *args, **kw):
     if samples and samples["time"][-1] > 1e-3:
         raise RecordError("no room")
@@ -71,18 +71,18 @@ def local(*args):
     if other:
         raise OSError("no memory")
     return recorded(*args)
-record.Writer.append = full
+run_files.Writer.append = full
 wrong["writing"] = go(out="full.h5")
-record.Writer.append, loop.rows_of = append, local
+run_files.Writer.append, loop.select_new_rows = append, local
 wrong["between"] = go()
-loop.rows_of = recorded
+loop.select_new_rows = recorded
 after = go().time[-1]
 
 # a run of the second process is thrown sideways
-job = prepare("scene.toml", (3, 4), 2)
+job = prepare_job("scene.toml", (3, 4), 2)
 with jax.enable_x64(True):
     job = replace(job, state=job.state.replace_motion(velocity=job.state.velocity.at[1, 0, 1].set(2000.0)))
-thrown = caught(lambda: drive(job, "thrown.h5", False, False))
+thrown = caught(lambda: run_job(job, "thrown.h5", False, False))
 pickle.dump((same, single, wrong, after, thrown), open(f"found-{index}", "wb"))
 """
 

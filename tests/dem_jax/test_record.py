@@ -228,7 +228,7 @@ KILLED = """
 import os, signal, sys
 sys.path[:0] = [{repository!r}, {tests!r}]
 import dem_jax.io.writer as record
-from dem_jax.io import output
+from dem_jax.io import atomic_files
 from test_record import header, samples, frames
 
 def die(*_, **__):
@@ -256,11 +256,11 @@ def run_killed(then, interval=0):
     [
         "die()",
         "writer._interval = 9; writer.append(samples(1000, 5)); die()",  # not flushed yet
-        "output.os.link = die; writer.append(samples(1000, 5))",  # the copy is complete, without a
+        "atomic_files.os.link = die; writer.append(samples(1000, 5))",  # the copy is complete, without a
         # name
-        "output.os.replace = die; writer.append(samples(1000, 5))",  # not yet in place
+        "atomic_files.os.replace = die; writer.append(samples(1000, 5))",  # not yet in place
         "record.replace_restart = die; writer.append(samples(1000, 5), restart={'step': record.np.int64(10)})",
-        "output.os.fdopen = lambda file, _: (os.write(file, b'HDF'), die()); writer.append(samples(1000, 5))",
+        "atomic_files.os.fdopen = lambda file, _: (os.write(file, b'HDF'), die()); writer.append(samples(1000, 5))",
     ],
 )
 def test_a_killed_process_leaves_the_file_of_its_last_flush(then):

@@ -436,9 +436,9 @@ KILLED = """
 import os, signal, sys
 import dem_jax
 import dem_jax.runner.job
-from dem_jax.io import record
+from dem_jax.io import run_files
 dem_jax.runner.job.CHUNK_TIME = 100 * 5 * 5.3e-6
-append, count = record.Writer.append, 0
+append, count = run_files.Writer.append, 0
 def killing(self, *args, **kw):
     global count
     append(self, *args, **kw)
@@ -446,7 +446,7 @@ def killing(self, *args, **kw):
     count += 1
     if count == int(sys.argv[3]):
         os.kill(os.getpid(), signal.SIGKILL)
-record.Writer.append = killing
+run_files.Writer.append = killing
 dem_jax.simulate(sys.argv[1], seed=5, out=sys.argv[2])
 """
 
