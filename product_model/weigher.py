@@ -473,9 +473,11 @@ def _judge(
     is_unlike = (excess > weigher.threshold).any(-1)
     grams, sd = state.mean[..., TOTAL], _widened_sd(xp, weigher, state)
     is_outside = (grams - CLEAR * sd > weigher.most) | (grams + CLEAR * sd < weigher.least)
-    moving = _filter_variance(xp, weigher, state)
-    apart = xp.abs(filtered - state.tare - grams) > CLEAR * xp.sqrt(sd**2 + moving)
     found = xp.where(is_unlike, SIGNAL, 0) | xp.where(is_outside, WEIGHT, 0)
+    is_doubted = ((state.doubts | found) & SIGNAL) > 0
+    scatter = xp.where(is_doubted, 0.0, state.filter_variance)
+    usual = weigher.filter_sd[row] ** 2
+    apart = xp.abs(filtered - state.tare - grams) > CLEAR * xp.sqrt(sd**2 + usual + scatter)
     found = found | xp.where(apart & (row >= weigher.settled), FILTER, 0)
     return state._replace(check=check, doubts=xp.where(is_on, state.doubts | found, state.doubts))
 
@@ -496,10 +498,11 @@ def _checks(xp: ModuleType, weigher: Weigher, state: WeigherState, innovation: A
 
 def _reading(xp: ModuleType, weigher: Weigher, state: WeigherState, filtered: Array) -> Reading:
     is_on, is_doubted = state.row >= 0, state.doubts > 0
+    row = xp.maximum(state.row, 0)
     believed = is_on & ~is_doubted
     net = filtered - xp.where(is_on, state.tare, state.mean[..., TARE])
     quiet = xp.sqrt(state.covariance[..., TARE, TARE])
-    moving = xp.sqrt(_filter_variance(xp, weigher, state))
+    moving = xp.sqrt(weigher.filter_sd[row] ** 2 + state.filter_variance)
     estimated = _widened_sd(xp, weigher, state) * xp.where(is_doubted, DOUBTED, 1.0)
     is_narrower = is_on & (state.doubts == SIGNAL) & (estimated < moving)
     grams = xp.where(believed | is_narrower, state.mean[..., TOTAL], net)
@@ -524,11 +527,6 @@ def _finish(xp: ModuleType, weigher: Weigher, state: WeigherState, filtered: Arr
         row=xp.where(is_on & ~is_empty, following, -1),
         calm=xp.where(is_empty, 0.0, calm),
     )
-
-
-def _filter_variance(xp: ModuleType, weigher: Weigher, state: WeigherState) -> Array:
-    """[..] (g^2) of the filter's reading: as learnt for the row, and its scatter of late."""
-    return weigher.filter_sd[xp.maximum(state.row, 0)] ** 2 + state.filter_variance
 
 
 def _widened_sd(xp: ModuleType, weigher: Weigher, state: WeigherState) -> Array:

@@ -284,12 +284,6 @@ static double widened_sd(const weigher_state *s, int row)
     return sqrt(variance) * DATA_WIDENING[row];
 }
 
-/* (g^2) of the filter's reading: as learnt for the row, and its scatter of late. */
-static double find_filter_variance(const weigher_state *s)
-{
-    return DATA_FILTER_SD[s->row] * DATA_FILTER_SD[s->row] + s->filter_variance;
-}
-
 static void update_checks(weigher_state *s, double innovation)
 {
     double part = innovation < CAP ? innovation : CAP, samples = s->row + QUIET_SAMPLES;
@@ -307,7 +301,7 @@ static void update_checks(weigher_state *s, double innovation)
 static void raise_doubts(weigher_state *s, double innovation, double filtered)
 {
     int row = s->row, k;
-    double grams = s->mean[TOTAL], sd, apart;
+    double grams = s->mean[TOTAL], sd, scatter, apart;
     if (row < 0) return;
     update_checks(s, innovation);
     for (k = 0; k < 3; k++)
@@ -316,7 +310,8 @@ static void raise_doubts(weigher_state *s, double innovation, double filtered)
     sd = widened_sd(s, row);
     if (grams - CLEAR * sd > DATA_MOST || grams + CLEAR * sd < DATA_LEAST)
         s->doubts |= WEIGHER_WEIGHT;
-    apart = CLEAR * sqrt(sd * sd + find_filter_variance(s));
+    scatter = s->doubts & WEIGHER_SIGNAL ? 0 : s->filter_variance;
+    apart = CLEAR * sqrt(sd * sd + DATA_FILTER_SD[row] * DATA_FILTER_SD[row] + scatter);
     if (row >= DATA_SETTLED && fabs(filtered - s->tare - grams) > apart)
         s->doubts |= WEIGHER_FILTER;
 }
@@ -333,7 +328,7 @@ static weigher_reading make_reading(const weigher_state *s, double filtered)
         r.status = WEIGHER_EMPTY;
         return r;
     }
-    moving = sqrt(find_filter_variance(s));
+    moving = sqrt(DATA_FILTER_SD[s->row] * DATA_FILTER_SD[s->row] + s->filter_variance);
     estimated = widened_sd(s, s->row) * (s->doubts ? DOUBTED : 1.0);
     is_estimate = !s->doubts || (s->doubts == WEIGHER_SIGNAL && estimated < moving);
     r.believed = !s->doubts;
