@@ -116,7 +116,8 @@ def split_scene(
     """
     if built.exchange_plan is not None:
         raise SceneError(
-            "[inlet], [outlet]: the host moves these pieces between steps; allowed: a scene without them"
+            "[inlet], [outlet]: pieces that come and go have no derivatives, and the host moves them"
+            " between steps; allowed: a scene without them"
         )
     values = find_parameters(scene)
     if not scene.piece:

@@ -181,7 +181,7 @@ def test_what_nothing_holds_up_follows_its_motion():
     turned = FlapDriveMotion(jnp.array([[0.0], [0.1]]), jnp.array([[0.0], [2.0]]))
     swung = kinematics.apply_compliance(system, state.replace(drive=turned), panels)
     hinge = system.walls.motions[0]
-    angle = float(hinge.at(system.dt * 3000)[0][1]) + 0.1
+    angle = float(hinge.pose_at(system.dt * 3000)[0][1]) + 0.1
     open_so_far = hinge.replace(
         swing=jnp.array([0.0, angle]), start=hinge.start - 1, dwell=hinge.dwell + 10
     )
