@@ -3,12 +3,15 @@ kind.
 """
 
 import os
+import socket
 import struct
+import sys
 import threading
 
 import pytest
 
 from dem_jax.app.folder import LARGEST_STL, Folder, check_stl, clean_stem
+from dem_jax.cli.main import main
 from dem_jax.errors import RecordError
 
 
@@ -119,3 +122,20 @@ def test_a_scene_that_names_files_elsewhere_is_refused(tmp_path):
 def test_any_text_makes_a_plain_name():
     assert clean_stem("Brötchen/..") == "Br-tchen"
     assert clean_stem("..") == clean_stem("") == "part"
+
+
+def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "nicegui", None)
+    for name in [name for name in sys.modules if name.startswith("dem_jax.app.")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert main(["app", str(tmp_path / "drops"), "--no-browser"]) == 2
+    assert "pip install 'product-impact[app]'" in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_is_refused(tmp_path, capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["app", str(tmp_path), "--no-browser", "--port", str(port)]) == 2
+    assert f"--port {port}: it is taken" in capsys.readouterr().err
