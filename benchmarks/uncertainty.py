@@ -56,7 +56,7 @@ def conducted(product: str, quick: bool):
 def rows_of(product: str, found, splits: list[VarianceSplit]) -> list[list[str]]:
     """Table rows of a product, one for each answer."""
     replicates = {row.name: row for row in replicate_shares(found)}
-    pieces = found.study.base().portion.count
+    pieces = found.study.base_scene().portion.count
     rows = []
     for split in splits:
         name, values = split.answer.name, split.answer.values

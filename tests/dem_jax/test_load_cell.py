@@ -127,7 +127,7 @@ def test_a_sphere_dropped_on_the_bucket_is_two_masses_on_springs_at_second_order
     )
     dts, errors = [0.8 * pulse / STEPS / parts for parts in (1, 2, 4)], []
     for parts, dt in zip((1, 2, 4), dts, strict=True):
-        exact = case.motion(start, dt * np.arange(1, parts * STEPS + 1))
+        exact = case.contact_motion(start, dt * np.arange(1, parts * STEPS + 1))
         assert (exact[0] > exact[1]).all()  # they touch throughout
         errors.append(np.abs(traced(start, dt, parts) - exact).max(1) / np.abs(exact).max(1))
     assert np.abs(exact[1]).max() > 0.2 * exact[0].max()  # the bucket gives way as much as the
@@ -143,7 +143,7 @@ def test_a_weight_put_down_at_once_swings_beyond_its_rest_as_the_closed_form():
     half = np.pi * np.sqrt((case.mass + case.suspended) / case.stiffness)  # about: the contact is
     # 1e1 times as stiff
     dt = half / STEPS / 8
-    exact = case.motion((0.0, 0.0, 0.0, 0.0), dt * np.arange(1, 8 * STEPS + 1))
+    exact = case.contact_motion((0.0, 0.0, 0.0, 0.0), dt * np.arange(1, 8 * STEPS + 1))
     together = exact[0] > exact[1]
     last = len(together) if together.all() else int(np.argmin(together))
     assert exact[1, :last].max() > 1.2 * x  # put down at once it swings beyond its rest

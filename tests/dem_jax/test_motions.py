@@ -88,8 +88,8 @@ def test_a_table_goes_through_its_rows_and_rests_beside_them():
     ways = ((0.0, 0.0, 0.01), (0.0, 0.03, 0.0), (0.02, 0.0, 0.0), (0.0, 0.0, 0.05))
     row = {"group": "flap", "times": times, "angles_deg": angles, "ways": ways}
     table = walls_of(row).motions[0]
-    at = jax.jit(table.at)
-    rate = jax.jit(lambda t: jax.jvp(table.at, (t,), (1.0,))[1])
+    at = jax.jit(table.pose_at)
+    rate = jax.jit(lambda t: jax.jvp(table.pose_at, (t,), (1.0,))[1])
     for n, t in ((0, -1.0), (0, 0.0), *enumerate(times), (3, 0.2), (3, 1e6)):
         angle, way = at(t)
         assert float(angle[0]) == pytest.approx(np.radians(angles[n]), rel=1e-14)
@@ -134,7 +134,11 @@ def test_a_hinge_goes_along_with_what_a_table_moves_and_all_of_it_vibrates():
     centre, frame = (np.array(x)[..., 0, 0] for x in (rest.centre, rest.rotation))
 
     for k, t in enumerate(times):
-        swing, (angle, way), (_, shift) = apart[0].at(t)[0][0], apart[1].at(t), apart[2].at(t)
+        swing, (angle, way), (_, shift) = (
+            apart[0].pose_at(t)[0][0],
+            apart[1].pose_at(t),
+            apart[2].pose_at(t),
+        )
         turns = [
             Rotation.from_rotvec(float(a) * axis)
             for a, axis in zip((swing, angle[0]), axes, strict=True)

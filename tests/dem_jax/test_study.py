@@ -60,7 +60,7 @@ def test_a_grid_takes_each_value_with_each(done):
 def test_every_drop_is_the_run_of_its_own_scene(done):
     found, _ = done
     for member in (1, 6):
-        scene = found.study.base().replace(list_points(found.study)[member // 2])
+        scene = found.study.base_scene().replace(list_points(found.study)[member // 2])
         alone = dem_jax.simulate(scene, seed=member % 2)
         for name in select_drop_outputs(found.study.outputs):
             np.testing.assert_array_equal(
@@ -169,7 +169,7 @@ def test_a_batch_that_takes_long_is_gone_on_with_where_it_was(done, monkeypatch,
 def test_a_file_of_another_batch_is_not_gone_on_with(done, monkeypatch):
     whole, _ = done
     monkeypatch.setattr(batches, "LONG_BATCH_TIME", 0.0)
-    dem_jax.ensemble(ball().base(), seed=[5, 6], out="other.h5.batch")
+    dem_jax.ensemble(ball().base_scene(), seed=[5, 6], out="other.h5.batch")
     found = study_runner.run_study(ball(), "other.h5")
     for name, values in whole.outputs.items():
         np.testing.assert_array_equal(found.outputs[name], values)
@@ -361,7 +361,7 @@ def test_a_heap_is_the_same_whatever_it_is_released_into():
     assert members == (0, 1) and not failed
     first = run.pieces.position[:, 0]
     np.testing.assert_array_equal(first[0], first[1])
-    own = dem_jax.simulate(table.base().replace({"material.restitution": 0.1}))
+    own = dem_jax.simulate(table.base_scene().replace({"material.restitution": 0.1}))
     np.testing.assert_array_equal(own.pieces.position, run.pieces.position[0])
 
 
