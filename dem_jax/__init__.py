@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time each is imported
     from dem_jax.scene import load_scene as load_scene
     from dem_jax.scene import stock_scenes as stock_scenes
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "Scene": "scene",
