@@ -115,7 +115,7 @@ def impacts(shape, number, count, precision="f64"):
 
 
 def _start(shape, case, time):
-    gap, speed = case.start(time)
+    gap, speed = case.state_before_touch(time)
     return HALF_HEIGHT[shape] + gap, speed
 
 
