@@ -69,4 +69,4 @@ def _print_list() -> None:
     print(evidence.LEGEND)
     factors = ", ".join(f"{surface} {row.friction:g}" for surface, row in SURFACES.items())
     print(f"mu: on smooth stainless steel; material.wall_surface multiplies it: {factors}")
-    print("--set product=NAME takes one; dem-jax products NAME prints ranges and sources")
+    print("--set product=NAME takes one; dem-jax list products NAME prints ranges and sources")
