@@ -1,10 +1,11 @@
-"""How soon a scale knows the weight: tuned filters and an estimator of ``calibrate weigher``, on drops that neither has seen.
+"""How soon a scale knows the weight: tuned filters and an estimator of ``calibrate weigher``, on
+drops that neither has seen.
 
 ``python -m benchmarks weighing [--quick] [--drops FOLDER] [--product NAME]``. Drops into the stock
 weigh bucket on a load cell of 1 kg, 50 Hz and damping 0.02, simulated by ``dem-jax ensemble``, read
-at 1 kHz with typical noise. Filters are tuned and the estimator learns on drops of one seed; both are
-judged on drops of another. A drop counts by the time from its first impact until the error stays
-within a tolerance.
+at 1 kHz with typical noise. Filters are tuned and the estimator learns on drops of one seed; both
+are judged on drops of another. A drop counts by the time from its first impact until the error
+stays within a tolerance.
 """
 
 import argparse
@@ -32,8 +33,9 @@ from product_model.weigher import Reading, Weigher
 
 @dataclass(frozen=True)
 class Plan:
-    """Drops of a product. counts: numbers of pieces, as --vary takes them. runs, seeds: of the drops
-    that are learnt from and of those that judge."""
+    """Drops of a product. counts: numbers of pieces, as --vary takes them. runs, seeds: of the
+    drops that are learnt from and of those that judge.
+    """
 
     counts: str
     runs: tuple[int, int]
@@ -126,8 +128,9 @@ def load(path: Path, seed: int, jitter: float = TYPICAL.release_jitter) -> Signa
 def learn(
     signals: Signals, count: int = PORTIONS, cell: EmptyCell = CELL, is_known: bool = True
 ) -> Weigher:
-    """An estimator of some portions, drawn at random; is_known: whether their weights are, else they
-    are read at rest."""
+    """An estimator of some portions, drawn at random; is_known: whether their weights are, else
+    they are read at rest.
+    """
     some = np.random.default_rng(0).permutation(len(signals.weights))[:count]
     weights = signals.weights[some] if is_known else None
     return learn_weigher([signals.values[k] for k in some], weights, 1 / RATE, cell).weigher
@@ -183,7 +186,9 @@ def describe_ratio(ours: np.ndarray, theirs: np.ndarray) -> str:
 
 
 def describe_bars(signals: Signals, reading: Reading) -> tuple[str, str]:
-    """Share of believed readings within their 95 % interval, and share of the drops that are doubted."""
+    """Share of believed readings within their 95 % interval, and share of the drops that are
+    doubted.
+    """
     counts = reading.believed & (signals.time > signals.impact[:, None] + SETTLED)
     inside = np.abs(reading.grams - signals.weights[:, None]) < 1.96 * reading.sd
     doubted = (reading.doubts > 0).any(axis=1)
@@ -286,8 +291,9 @@ def rows_of_checks(product: str, weigher: Weigher, judges: dict[str, Signals]) -
 
 
 def count_wrong(signals: Signals, reading: Reading) -> tuple[str, str]:
-    """Share of the drops that are decided wrongly for 1 g, and of those whose last reading is believed and
-    off by more than 1 g and by more than its 99 % interval."""
+    """Share of the drops that are decided wrongly for 1 g, and of those whose last reading is
+    believed and off by more than 1 g and by more than its 99 % interval.
+    """
     off = np.abs(reading.grams - signals.weights[:, None])
     limit = np.maximum(TOLERANCES[0], check_decision(TOLERANCES[0], CONFIDENCE) * reading.sd)
     ends_wrong = (reading.believed & (off > limit))[:, -1]
@@ -302,8 +308,9 @@ def count_wrong(signals: Signals, reading: Reading) -> tuple[str, str]:
 def rows_of_decisions(
     product: str, weigher: Weigher, learnt: Signals, judge: Signals, texts: dict[float, str]
 ) -> list[list[str]]:
-    """Rows: when a scale decides, and whether it is right. Filters and their rules are chosen on the
-    drops learnt from: of those that are right in 99 % the soonest."""
+    """Rows: when a scale decides, and whether it is right. Filters and their rules are chosen on
+    the drops learnt from: of those that are right in 99 % the soonest.
+    """
     reading = weigher.read(judge.values)
     texts_tried = dict.fromkeys([*FILTERS, *texts.values()])
     filtered = {
@@ -339,7 +346,9 @@ def rows_of_decisions(
 def try_rules(
     filtered: dict[str, list[tuple[Signals, np.ndarray]]], tolerance: float
 ) -> dict[str, list[Outcome]]:
-    """Outcomes on the drops that choose and on those that judge, of all filters, durations and bands."""
+    """Outcomes on the drops that choose and on those that judge, of all filters, durations and
+    bands.
+    """
     rules = {}
     for (text, parts), hold, band in itertools.product(filtered.items(), HOLDS, BANDS):
         words = f"{text}, within {band * tolerance:g} g for {1e3 * hold / RATE:g} ms"
@@ -353,7 +362,9 @@ def try_rules(
 
 
 def choose_rule(rules: dict[str, list[Outcome]]) -> str:
-    """The soonest of those that are right often enough on the drops that choose; else the most often right."""
+    """The soonest of those that are right often enough on the drops that choose; else the most
+    often right.
+    """
     enough = {words: outcomes for words, outcomes in rules.items() if outcomes[0][1] >= RIGHT}
     if enough:
         return min(enough, key=lambda words: enough[words][0][0])
@@ -366,7 +377,9 @@ def apply_filter(text: str, signals: Signals) -> np.ndarray:
 
 
 def find_still(signals: Signals, values: np.ndarray, hold: int, band: float) -> np.ndarray:
-    """[K] the first reading after the impact for which the last ``hold`` readings lie within a band (g); -1: none."""
+    """[K] the first reading after the impact for which the last ``hold`` readings lie within a band
+    (g); -1: none.
+    """
     window = np.lib.stride_tricks.sliding_window_view(values, hold, axis=1)
     is_still = np.ptp(window, axis=-1) < band
     begins = (signals.impact * RATE).astype(int)[:, None] + 5
@@ -377,7 +390,9 @@ def find_still(signals: Signals, values: np.ndarray, hold: int, band: float) -> 
 def describe_decisions(
     signals: Signals, at: np.ndarray, grams: np.ndarray, tolerance: float
 ) -> Outcome:
-    """Mean time (s) since the first impact of the drops that are decided, and the share of these that are right."""
+    """Mean time (s) since the first impact of the drops that are decided, and the share of these
+    that are right.
+    """
     decided = at >= 0
     off = np.abs(grams[np.arange(len(at)), at] - signals.weights)
     if not decided.any():

@@ -75,14 +75,23 @@ def write_compiled_fmu(
     path = check_fmu(path, overwrite)
     check(params)
     compiler = require_compiler(path)
-    files = source_files(params, seed, CAPACITY)
-    for name in ("unit.h", f"fmi{fmi}.c"):
-        files[name] = (SOURCES / name).read_text(encoding="utf-8")
+    files = source_files(params, seed, CAPACITY) | unit_sources("unit.h", fmi)
     token = hashlib.sha256("".join(files.values()).encode()).hexdigest()
     files["product_model_parameters.h"] += f'\n#define PRODUCT_MODEL_TOKEN "{token}"\n'
     return pack_unit(
         path, compiler, files, MODEL, list_variables(params, seed), params.sample, token, fmi
     )
+
+
+def unit_sources(header: str, fmi: str) -> dict[str, str]:
+    """Name -> text of the sources of a unit beside its model.
+
+    Args:
+        header: file of the values and variables of the unit, its unit.h.
+        fmi: "2" or "3".
+    """
+    files = {"unit.h": header, "unit_state.h": "unit_state.h", f"fmi{fmi}.c": f"fmi{fmi}.c"}
+    return {name: (SOURCES / file).read_text(encoding="utf-8") for name, file in files.items()}
 
 
 def require_compiler(path: Path) -> str:

@@ -175,7 +175,8 @@ class Reading(NamedTuple):
     after the first impact of portions learnt, and its own scatter in the last moments. believed:
     whether grams is the estimator's, without a doubt. status: EMPTY, ESTIMATE or FALLBACK. doubts:
     bits that say why it is a fallback: the filter's reading or, while nothing but the signal is
-    doubted and this has the narrower error bar, the estimate with one of DOUBTED times the width."""
+    doubted and this has the narrower error bar, the estimate with one of DOUBTED times the width.
+    """
 
     grams: Array
     sd: Array

@@ -11,7 +11,7 @@ import numpy as np
 
 from product_model.c_export import SOURCES, check_folder, set_macro, write_sources
 from product_model.fmu import check_fmu
-from product_model.fmu_compiled import pack_unit, require_compiler
+from product_model.fmu_compiled import pack_unit, require_compiler, unit_sources
 from product_model.fmu_description import UnitKind, Variable
 from product_model.record import version
 from product_model.weigher import Weigher
@@ -82,9 +82,7 @@ def write_weigher_fmu(
     """
     path = check_fmu(path, overwrite)
     compiler = require_compiler(path)
-    files = weigher_sources(weigher)
-    files["unit.h"] = (SOURCES / "weigher_unit.h").read_text(encoding="utf-8")
-    files[f"fmi{fmi}.c"] = (SOURCES / f"fmi{fmi}.c").read_text(encoding="utf-8")
+    files = weigher_sources(weigher) | unit_sources("weigher_unit.h", fmi)
     token = hashlib.sha256("".join(files.values()).encode()).hexdigest()
     files["weigher_token.h"] = f'#define WEIGHER_TOKEN "{token}"\n'
     return pack_unit(

@@ -35,5 +35,6 @@ def app(args: Args) -> None:
         raise RecordError(
             "app: NiceGUI is missing; allowed: pip install 'product-impact[app]'"
         ) from error
-    process.end_signal_handling()  # the server has signals of its own, and ends the processes that it started
+    process.end_signal_handling()  # the server has signals of its own, and ends the processes that
+    # it started
     serve(folder, args.port, not args.no_browser)

@@ -41,9 +41,8 @@ def export_file(args: Args) -> None:
         raise RecordError(
             f"--out {args.out}: allowed with --to {form}: a name that ends in .{form}"
         )
-    if args.at is not None or args.strip is not None:
-        if form != "png":
-            raise RecordError(f"--at and --strip: {form} has no instants; allowed: --to png")
+    if form != "png" and (args.at is not None or args.strip is not None):
+        raise RecordError(f"--at and --strip: {form} has no instants; allowed: --to png")
     _exporter(form)(args)
 
 

@@ -27,9 +27,10 @@ def model(
 ) -> tuple[Topology, dict[str, np.ndarray]]:
     """Split a scene into its topology, which determines the compiled program, and its parameters.
 
-    The parameters are a dictionary of dotted keys of the scene: materials, pairs, motions of walls, load cell, gravity, drop
-    height, initial poses. Each can be replaced by another value, also by a traced one, and is differentiable. The time step
-    belongs to the topology: give the scene the stiffest material and the lowest restitution of the values to come.
+    The parameters are a dictionary of dotted keys of the scene: materials, pairs, motions of walls,
+    load cell, gravity, drop height, initial poses. Each can be replaced by another value, also by a
+    traced one, and is differentiable. The time step belongs to the topology: give the scene the
+    stiffest material and the lowest restitution of the values to come.
 
     Args:
         scene: a Scene, or a name or path that ``load_scene`` accepts.
@@ -38,7 +39,8 @@ def model(
         law: a contact law (``dem_jax.contact_laws``) instead of the scene's.
 
     Returns:
-        The topology, hashable and equal for scenes with the same program, and the values of the parameters in double precision.
+        The topology, hashable and equal for scenes with the same program, and the values of the
+        parameters in double precision.
 
     Raises:
         SceneError: the scene cannot be used, or its pieces come and go ([inlet], [outlet]).

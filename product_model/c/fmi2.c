@@ -1,6 +1,7 @@
 /* The Product Model as a co-simulation unit of FMI 2.0 (https://fmi-standard.org). */
 
 #include "unit.h"
+#include "unit_state.h"
 
 typedef void logger(void *environment, const char *name, int status, const char *category,
                     const char *message, ...);

@@ -1,6 +1,7 @@
 /* The Product Model as a co-simulation unit of FMI 3.0 (https://fmi-standard.org). */
 
 #include "unit.h"
+#include "unit_state.h"
 
 #include <stdbool.h>
 

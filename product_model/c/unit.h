@@ -110,23 +110,6 @@ static const char *advance_unit(unit *u, double time, double step)
     return NULL;
 }
 
-/* A copy of all values in `state`, for which memory is taken where it has none. Returns NULL or what
-   is wrong. */
-static const char *keep_values(const void *values, void **state)
-{
-    if (!*state) *state = malloc(sizeof(unit_values));
-    if (!*state) return "no memory for the state";
-    memcpy(*state, values, sizeof(unit_values));
-    return NULL;
-}
-
-static void free_values(void **state)
-{
-    if (!state) return;
-    free(*state);
-    *state = NULL;
-}
-
 /* The variable of a value reference; NULL if there is none of this type. */
 static double *find_real(unit *u, unsigned reference)
 {

@@ -9,9 +9,9 @@ from nicegui import events, ui
 from dem_jax.app import facts
 from dem_jax.app.design import CELL_FIELDS, RELEASE_FIELDS, read_number, write_bucket
 from dem_jax.app.facts import BucketStlFacts
-from dem_jax.app.folder import BUCKETS, LARGEST_STL
+from dem_jax.app.folder import BUCKETS
 from dem_jax.app.pages import parts
-from dem_jax.app.pages.product import UNITS
+from dem_jax.app.pages.uploads import show_stl_upload, show_unit
 from dem_jax.app.session import Session
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene
@@ -137,23 +137,13 @@ def _show_timeline(scene: Scene, fields: parts.Fields) -> None:
 
 def _show_upload(session: Session, refresh: Action) -> None:
     """An STL file that becomes a weigh bucket."""
-    form = ui.element("div")
-
-    async def receive(event: events.UploadEventArguments) -> None:
-        form.clear()
-        with form:
-            try:
-                name = session.folder.store_upload(
-                    BUCKETS, event.file.name, await event.file.read()
-                )
-                path = str(session.folder.find_path(name))
-                found = await session.workspace.helper.ask(facts.describe_bucket_stl, path)
-                _show_stl(session, name, found, refresh)
-            except RecordError as error:
-                parts.show_error(str(error))
-
-    parts.show_upload("Drop an STL file of the bucket here", LARGEST_STL, receive)
-    form.move(target_index=-1)
+    show_stl_upload(
+        session,
+        BUCKETS,
+        "Drop an STL file of the bucket here",
+        facts.describe_bucket_stl,
+        lambda name, found: _show_stl(session, name, found, refresh),
+    )
 
 
 def _show_stl(session: Session, name: str, found: BucketStlFacts, refresh: Action) -> None:
@@ -164,11 +154,7 @@ def _show_stl(session: Session, name: str, found: BucketStlFacts, refresh: Actio
         parts.show_lines(
             [f"{' × '.join(f'{edge:.4g}' for edge in found.size)} units of the file", *found.notes]
         )
-        unit = (
-            ui.select(UNITS, value=found.unit, label="Unit of the file")
-            .props("outlined dense")
-            .classes("field")
-        )
+        unit = show_unit(found.unit)
         turns, moves = [], []
         with ui.element("div").classes("fields"):
             for axis in "xyz":

@@ -4,18 +4,17 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
-from nicegui import events, ui
+from nicegui import ui
 
 from dem_jax.app import facts
 from dem_jax.app.design import FIELDS, MATERIAL_FIELDS, write_product
 from dem_jax.app.facts import ProductCard, StlFacts
-from dem_jax.app.folder import LARGEST_STL, PRODUCTS
+from dem_jax.app.folder import PRODUCTS
 from dem_jax.app.pages import parts
+from dem_jax.app.pages.uploads import show_stl_upload, show_unit
 from dem_jax.app.session import Session
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene.library import load_product
-
-UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 1.0: "metres", 25.4e-3: "inches"}
 
 
 async def show_product(session: Session) -> None:
@@ -206,23 +205,13 @@ def _show_mixture(session: Session, refresh: Callable[[], Awaitable[None]]) -> N
 def _show_upload(session: Session, refresh: Callable[[], Awaitable[None]]) -> None:
     """An STL file that becomes a product."""
     parts.show_heading("Your own part")
-    form = ui.element("div")
-
-    async def receive(event: events.UploadEventArguments) -> None:
-        form.clear()
-        with form:
-            try:
-                name = session.folder.store_upload(
-                    PRODUCTS, event.file.name, await event.file.read()
-                )
-                path = str(session.folder.find_path(name))
-                found = await session.workspace.helper.ask(facts.describe_stl, path)
-                _show_stl(session, name, found, refresh)
-            except RecordError as error:
-                parts.show_error(str(error))
-
-    parts.show_upload("Drop an STL file of one piece here", LARGEST_STL, receive)
-    form.move(target_index=-1)
+    show_stl_upload(
+        session,
+        PRODUCTS,
+        "Drop an STL file of one piece here",
+        facts.describe_stl,
+        lambda name, found: _show_stl(session, name, found, refresh),
+    )
 
 
 def _show_stl(
@@ -234,11 +223,7 @@ def _show_stl(
         parts.show_heading(f"Read: {stem}")
         size = ui.label()
         parts.show_lines([*found.notes, describe_excess(found)])
-        unit = (
-            ui.select(UNITS, value=found.unit, label="Unit of the file")
-            .props("outlined dense")
-            .classes("field")
-        )
+        unit = show_unit(found.unit)
         weight = ui.number("Weight of a piece (g)", value=None, step=0.1)
         weight.props('outlined dense hint="An STL has no weight. Allowed: above 0 g."').classes(
             "field"
