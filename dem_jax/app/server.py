@@ -44,6 +44,8 @@ def serve(folder: Folder, port: int, opens_browser: bool) -> None:
     token = secrets.token_urlsafe(24)
     address = f"http://{HOST}:{port}/?token={token}"
     workspace = Workspace(folder)
+    # A bar over the page while files load has no name that a screen reader could tell.
+    app.config.quasar_config["loadingBar"]["skipHijack"] = True
     app.add_middleware(AccessGuard, token=token, port=port)
     add_routes(workspace)
 
