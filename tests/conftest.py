@@ -20,7 +20,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
-from dem_jax import xla_flags  # noqa: E402
+from dem_jax import program_store, xla_flags  # noqa: E402
 from dem_jax.runner import programs  # noqa: E402
 
 xla_flags.set_loop_flags()  # as in production, before anything is compiled
@@ -38,6 +38,13 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
     repository.
     """
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def _no_program_store():
+    """Programs that a command found in its files stay there: tests count what is traced."""
+    yield
+    program_store.use_folder(None)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -15,7 +15,7 @@ import dem_jax
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "dem_jax"
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
-BASE = {"types", "errors", "xla_flags", "math", "process"}
+BASE = {"types", "errors", "xla_flags", "math", "process", "program_store"}
 CORE = BASE | {
     "scene",
     "walls",
@@ -28,6 +28,7 @@ CORE = BASE | {
 MAY_IMPORT = {  # package -> packages below it
     "errors": set(),
     "xla_flags": {"errors"},
+    "program_store": set(),
     "process": set(),
     "deprecation": set(),
     "types": set(),

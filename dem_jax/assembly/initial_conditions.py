@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dem_jax import program_store
 from dem_jax.assembly import exchange_plan
 from dem_jax.broad_phase import neighbour_list
 from dem_jax.contacts import collision_statistics, ledger
@@ -175,7 +176,11 @@ def build_initial_state(
         guard=neighbour_list.empty_overflow_report(system, dtype),
         scratch=empty,
     )
-    form = REBUILD.eval_shape(system, state).scratch
+    form = program_store.recall(
+        "scratch",
+        (system.replace(quantities=()), state),
+        lambda: REBUILD.eval_shape(system, state).scratch,
+    )
     scratch = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), form)
     return jax.tree.map(jnp.asarray, state.replace(scratch=scratch))  # in numpy: each operation of
     # jax.numpy would be compiled

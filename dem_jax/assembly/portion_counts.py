@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.special import ndtri
 
 MOST_SIZES = 16  # distinct sizes of a product, to keep the table of shapes small
 NARROWEST = 1e-9  # relative standard deviation below which all sizes are equal
@@ -53,6 +52,8 @@ def _lognormal_quantiles(number: int, spread: float) -> np.ndarray:
     """
     if spread < NARROWEST or number < 2:
         return np.ones(number)
+    from scipy.special import ndtri
+
     normal = np.clip(ndtri((np.arange(number) + 0.5) / number), -WIDEST, WIDEST)
     value = np.exp(np.sqrt(np.log1p(spread**2)) * normal)
     if number > MOST_SIZES:

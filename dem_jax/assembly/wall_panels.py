@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
-from scipy.spatial.transform import Rotation
 
 from dem_jax import shapes
 from dem_jax.assembly.dtype_cast import cast_tree
@@ -94,6 +93,8 @@ def _read_panels(row: Wall | Bucket | Feeder, stl: str, folder: str | Path) -> w
     """The panels of an STL, placed in the scene. Raises SceneError."""
     found = wall_meshes.read_wall_mesh(Path(folder) / stl, row.unit)
     check_stl_unit(row, stl, found.panels)
+    from scipy.spatial.transform import Rotation
+
     turn = Rotation.from_euler("xyz", row.rotate_deg, degrees=True).as_matrix()
     still = not any(row.rotate_deg) and not any(row.move)
     return (

@@ -36,7 +36,11 @@ def run_scene(args: Args) -> None:
         done = resume(out, args.duration, progress)
     else:
         scene, out = simulation_options.load_scene_and_target(args, "")
-        from dem_jax.runner.interface import simulate
+        from dem_jax.runner.interface import run_job
+        from dem_jax.runner.job_setup import prepare_job
 
-        done = simulate(scene, args.seed, out, args.overwrite, progress)
+        job = prepare_job(scene, (args.seed,), None)
+        if not args.no_plot:
+            simulation_options.import_figure_early()
+        done = run_job(job, out, args.overwrite, progress)
     simulation_options.finish_run(done, out, args)

@@ -4,6 +4,7 @@ at the end.
 
 import os
 import re
+import threading
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -124,6 +125,19 @@ def finish_run(done: "Run", out: Path, args: Args) -> None:
         raise RecordError(f"{problem}; the run is whole: python -m dem_jax plot {out} draws it")
 
 
+def import_figure_early() -> None:
+    """Import what draws a figure in another thread: it takes a second, which passes unnoticed while
+    XLA computes steps.
+    """
+
+    def import_figure() -> None:
+        with suppress(ImportError):  # as drawing will say
+            import matplotlib.backends.backend_agg
+            import matplotlib.figure  # noqa: F401
+
+    threading.Thread(target=import_figure, daemon=True).start()
+
+
 def use_cache() -> None:
     """Keep compiled programs in the user's cache folder, so that a second start need not compile.
 
@@ -131,7 +145,10 @@ def use_cache() -> None:
     """
     import jax
 
-    if jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
+    from dem_jax import program_store
+
+    if given := jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
+        program_store.use_folder(Path(given) / "dem_jax")
         return
     folder = (
         Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "dem_jax" / "jax"
@@ -142,6 +159,7 @@ def use_cache() -> None:
         return
     if not folder.is_absolute() or not os.access(folder, os.W_OK):
         return
+    program_store.use_folder(folder / "dem_jax")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 
 def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
@@ -23,4 +22,6 @@ def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
 
 def matrix_to_quaternion(matrix: ArrayLike) -> np.ndarray:
     """Unit quaternion [4] (w x y z, w >= 0) of a rotation matrix [3, 3]."""
+    from scipy.spatial.transform import Rotation
+
     return np.roll(Rotation.from_matrix(matrix).as_quat(canonical=True), 1)  # w first

@@ -1,5 +1,6 @@
 """Cache of compiled chunks: a process keeps those that it used last."""
 
+import pickle
 import threading
 import time
 from collections.abc import Callable
@@ -8,9 +9,10 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.experimental import serialize_executable
 from jax.sharding import Mesh, PartitionSpec
 
-from dem_jax import xla_flags
+from dem_jax import program_store, xla_flags
 from dem_jax.runner.chunk import CHUNK_SAMPLES, Chunk
 from dem_jax.types import State, System
 
@@ -42,20 +44,52 @@ def get_executable(
     )
     found = EXECUTABLES.get(key)
     if found is None:
-        chunk.compiling()
         start = time.perf_counter()
-        one = partial(_call_run_chunk, run_chunk, chunk.frames)
-        function = one if mesh is None else _shard_function(one, mesh, chunk)
-        with xla_flags.pause_garbage_collection():
-            jitted = xla_flags.jit_for_backend(
-                function,
-                jax.default_backend(),
-                light=mesh is None and needs_fast_compile(chunk.system),
-            )
-            found = jitted.lower(*arguments).compile()
+        found = _load_or_compile(chunk, arguments, run_chunk, mesh)
         chunk.clock.compile += time.perf_counter() - start
     _store_executable(key, found)
     return found
+
+
+def _load_or_compile(
+    chunk: Chunk, arguments: tuple[Any, ...], run_chunk: RunChunk, mesh: Mesh | None
+) -> Callable[..., Any]:
+    """The program of a chunk, from its file if there is one. Programs for several devices or other
+    devices than CPUs are left to JAX's own cache.
+    """
+    backend = jax.default_backend()
+    light = mesh is None and needs_fast_compile(chunk.system)
+    function = partial(_call_run_chunk, run_chunk, chunk.frames)
+    name = None
+    if mesh is None and backend == "cpu":
+        options = xla_flags.supported_options(backend, light)
+        loop = f"{run_chunk.__module__}.{run_chunk.__qualname__}"
+        name = program_store.find_name("program", arguments, loop, options, chunk.frames)
+    found = program_store.load(name, partial(_read_program, jax.tree.structure((arguments, {}))))
+    if found is not None:
+        return found
+    chunk.compiling()
+    shared = function if mesh is None else _shard_function(function, mesh, chunk)
+    with xla_flags.pause_garbage_collection():
+        jitted = xla_flags.jit_for_backend(shared, backend, light=light)
+        if name is None:
+            return jitted.lower(*arguments).compile()
+        with program_store.without_other_cache(function, name):
+            made = jitted.lower(*arguments).compile()
+    program_store.save(name, _write_program(made))
+    return made
+
+
+def _write_program(program: jax.stages.Compiled) -> bytes:
+    """A program as bytes, with a tree that has the structure of its result."""
+    content, _, form = serialize_executable.serialize(program)
+    return pickle.dumps((content, jax.tree.unflatten(form, range(form.num_leaves))))
+
+
+def _read_program(form: Any, content: bytes) -> jax.stages.Compiled:
+    """The program that ``_write_program`` was given. form: structure of its arguments."""
+    program, result = pickle.loads(content)
+    return serialize_executable.deserialize_and_load(program, form, jax.tree.structure(result))
 
 
 def _store_executable(key: Any, program: Callable[..., Any]) -> None:

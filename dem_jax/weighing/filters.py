@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import signal
 
 from dem_jax.weighing.adaptive_filters import THRESHOLD, FallingBandwidth, GrowingWindow
 
@@ -45,7 +44,9 @@ class LinearSection(NamedTuple):
 
     def filter_block(self, memory: Any, values: np.ndarray) -> tuple[np.ndarray, Any]:
         """Readings [.., n] after the filter, and the memory for those that follow."""
-        return signal.lfilter(self.b, self.a, values, zi=memory)
+        from scipy.signal import lfilter
+
+        return lfilter(self.b, self.a, values, zi=memory)
 
 
 Section = LinearSection | FallingBandwidth | GrowingWindow
@@ -138,7 +139,9 @@ def bessel_filter(order: float, frequency: float, rate: float, name: str = "Bess
             f"filter {name!r}: order = {order:g}: allowed: a whole number from 1 to {HIGHEST_ORDER}"
         )
     _check_frequency(frequency, rate, name)
-    rows = signal.bessel(int(order), frequency, fs=rate, norm="mag", output="sos")
+    from scipy.signal import bessel
+
+    rows = bessel(int(order), frequency, fs=rate, norm="mag", output="sos")
     return Filter(name, tuple(_normalize_section(row[:3], row[3:]) for row in rows))
 
 
@@ -153,9 +156,11 @@ def fir_filter(
             f"filter {name!r}: taps = {taps:g}: allowed: a whole number from 1 to 1000000"
         )
     _check_frequency(frequency, rate, name)
+    from scipy.signal import firwin
+
     try:
         return Filter(
-            name, (_normalize_section(signal.firwin(int(taps), frequency, window=window, fs=rate)),)
+            name, (_normalize_section(firwin(int(taps), frequency, window=window, fs=rate)),)
         )
     except ValueError as error:
         raise ValueError(
@@ -172,7 +177,9 @@ def notch_filter(frequency: float, width: float, rate: float, name: str = "notch
         raise ValueError(
             f"filter {name!r}: width = {width:g} Hz: allowed: above 0 and below {rate / 2:g} Hz, half of the rate"
         )
-    return Filter(name, (_normalize_section(*signal.iirnotch(frequency, frequency / width, rate)),))
+    from scipy.signal import iirnotch
+
+    return Filter(name, (_normalize_section(*iirnotch(frequency, frequency / width, rate)),))
 
 
 def input_shaper(

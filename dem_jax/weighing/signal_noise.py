@@ -9,8 +9,6 @@ k of an ensemble depends on the seed and on k alone, and that of each source on 
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import signal
-from scipy.interpolate import CubicHermiteSpline
 
 from dem_jax.io.run_data import STANDARD_GRAVITY
 from dem_jax.scene import LoadCell, Noise, load_section
@@ -163,6 +161,8 @@ def delay_signal(rows: np.ndarray, samples: np.ndarray) -> np.ndarray:
     slope = 0.5 * (padded[:, 1:] + padded[:, :-1])
     slope = np.concatenate([padded[:, :1], slope, padded[:, -1:]], axis=-1)
     edges, known = np.arange(count + 1), np.arange(-room, count + room + 1)
+    from scipy.interpolate import CubicHermiteSpline
+
     curves = [CubicHermiteSpline(known, *row) for row in zip(total, slope, strict=True)]
     return np.stack([np.diff(curve(edges - by)) for curve, by in zip(curves, delays, strict=True)])
 
@@ -280,7 +280,9 @@ def _kick_vibration(time: np.ndarray, noise: Noise, each: list[np.random.Generat
     swing = 2 * np.pi * noise.frame_frequency * step
     shrink = np.exp(-noise.frame_damping_ratio * swing)
     turn = swing * np.sqrt(1 - noise.frame_damping_ratio**2)
-    return signal.lfilter(
+    from scipy.signal import lfilter
+
+    return lfilter(
         [0.0, shrink * np.sin(turn)], [1.0, -2 * shrink * np.cos(turn), shrink**2], kicks, axis=-1
     )
 

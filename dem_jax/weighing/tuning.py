@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal
 
 from dem_jax.weighing import filters
 from dem_jax.weighing.cell import Cell
@@ -289,7 +288,9 @@ def _filter_roughly(text: str, drops: Sequence[Drops], rate: float) -> list[np.n
 
 def _filter_by_section(section: filters.Section, values: np.ndarray) -> np.ndarray:
     if isinstance(section, filters.LinearSection) and not any(section.a[1:]):
-        return signal.oaconvolve(values, np.array([section.b]), axes=-1)[..., : values.shape[-1]]
+        from scipy.signal import oaconvolve
+
+        return oaconvolve(values, np.array([section.b]), axes=-1)[..., : values.shape[-1]]
     return filters.filter_signal(filters.Filter("", (section,)), values)
 
 

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import assembly, xla_flags
+from dem_jax import assembly, program_store, xla_flags
 from dem_jax.broad_phase import overflow_recovery
+from dem_jax.contact_laws.linear_dashpot import LinearDashpot
 from dem_jax.contacts import tiling
 from dem_jax.dynamics import stepping
 from dem_jax.math import vector
@@ -19,6 +20,7 @@ from dem_jax.runner import programs
 from dem_jax.runner.interface import simulate
 from dem_jax.runner.job_setup import choose_slot_block
 from dem_jax.scene import load_scene
+from dem_jax.types import pytree
 
 BASE = {"run.duration": 6e-4, "portion.settling_time": 6e-4, "portion.count": 3}
 
@@ -60,6 +62,39 @@ def test_other_values_do_not_compile_anew(traces):
         assert len(traces) == first and len(programs.EXECUTABLES) == 1, name
     go({"portion.count": 4})
     assert len(traces) == 2 * first  # the count of pieces is part of the program: the test can fail
+
+
+@pytree
+class LawOfAUser(LinearDashpot):
+    """A law that is not of dem_jax."""
+
+
+def test_a_stored_program_is_found_without_tracing(traces, tmp_path):
+    piece = {"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.0105], "velocity": [0, 0, -1]}
+    scene = load_scene("plate-drop").replace({"piece": [piece], "run.duration": 3e-3})
+    store = tmp_path / "store"
+
+    def go(law=None):
+        programs.EXECUTABLES.clear()
+        before = len(traces)
+        return simulate(scene, law=law), len(traces) - before
+
+    plain, traced = go()
+    program_store.use_folder(store)
+    made, again = go()
+    read, none = go()
+    assert traced == again > 0 == none
+    assert plain.force["plate"].any()
+    for run in (made, read):
+        assert np.array_equal(plain.force["plate"], run.force["plate"])
+        assert np.array_equal(plain.energy["total"], run.energy["total"])
+    (file,) = store.glob("program-*")
+    file.write_bytes(file.read_bytes()[:1000])  # as of a process that was killed
+    assert go()[1] == traced
+    assert go()[1] == 0
+    law = LawOfAUser(np.float64(1.0))
+    assert go(law)[1] == go(law)[1] > 0  # its code is not among what the name of a file says
+    assert len(list(store.glob("program-*"))) == 1
 
 
 def test_flags_of_the_person_are_left_alone(monkeypatch):

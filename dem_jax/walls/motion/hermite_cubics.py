@@ -8,7 +8,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from dem_jax.scene.array_namespace import is_traced
 
@@ -22,6 +21,8 @@ def fit_hermite_cubics(times: Sequence[float], values: Any) -> Any:
     """
     if is_traced(values):
         return _fit_differentiable_cubics(np.asarray(times), values)
+    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
     slopes = PchipInterpolator(times, values).derivative()(times)
     slopes[[0, -1]] = 0
     last = np.array([0, 0, 0, values[-1]])[:, None]
