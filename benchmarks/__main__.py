@@ -21,6 +21,7 @@ BENCHMARKS += (
     "calibration",
     "uncertainty",
     "weighing",
+    "app",
 )
 
 

@@ -121,17 +121,6 @@ CELL_FIELDS = (
         0.01,
     ),
 )
-STL_FIELDS = tuple(
-    FieldText(
-        f"weigh_bucket.move.{axis}",
-        f"Move {name}",
-        "mm",
-        1e-3,
-        f"Shifts the STL bucket along {name}.",
-        5,
-    )
-    for axis, name in enumerate("xyz")
-)
 MATERIAL_FIELDS = (
     FieldText(
         "material.density",
@@ -200,7 +189,7 @@ class Design:
     products: (name, share by weight) of the library or files of one's own; one of them, or a
     mixture. bucket: name or file; "": the one of the base scene. changes: key of the scene -> value
     (SI). has_load_cell: whether the weigh bucket hangs on a load cell. runs: number of drops. seed:
-    the first.
+    the first. move: (m) of an STL bucket of one's own; None: as its file has it.
     """
 
     products: tuple[tuple[str, float], ...] = (("marshmallow", 1.0),)
@@ -209,6 +198,7 @@ class Design:
     has_load_cell: bool = False
     runs: int = 1
     seed: int = 0
+    move: tuple[float, float, float] | None = None
 
     @property
     def product(self) -> str | None:
@@ -234,9 +224,8 @@ class Design:
     def with_bucket(self, name: str) -> "Design":
         """The design with a bucket, without changes of the sizes of the one before."""
         kept = ("portion.", "material.", "run.", "weigh_bucket.load_cell")
-        return replace(
-            self, bucket=name, changes={k: v for k, v in self.changes.items() if k.startswith(kept)}
-        )
+        changes = {key: item for key, item in self.changes.items() if key.startswith(kept)}
+        return replace(self, bucket=name, changes=changes, move=None)
 
     def to_tree(self) -> Tree:
         """The scene as it is written to a TOML file."""
@@ -250,6 +239,8 @@ class Design:
             tree["portion"] = {"product": rows}
         if self.has_load_cell:
             tree["weigh_bucket"] = {"load_cell": {}}
+        if self.move is not None:
+            tree.setdefault("weigh_bucket", {})["move"] = list(self.move)
         for key, value in sorted(self.changes.items()):
             if key.startswith("weigh_bucket.load_cell.") and not self.has_load_cell:
                 continue
@@ -280,7 +271,11 @@ def read_design(tree: Tree) -> Design:
         found = replace(
             found, products=tuple((row["product"], float(row["share"])) for row in rows)
         )
-    found = replace(found, has_load_cell="load_cell" in tree.get("weigh_bucket", {}))
+    weigh_bucket = tree.get("weigh_bucket", {})
+    found = replace(found, has_load_cell="load_cell" in weigh_bucket)
+    if len(move := weigh_bucket.get("move", ())) == 3:
+        x, y, z = map(float, move)
+        found = replace(found, move=(x, y, z))
     for key in FIELDS:
         below: Any = tree
         for part in key.split("."):
@@ -325,6 +320,16 @@ def explain_error(text: str, key: str) -> str:
     if not found or key not in FIELDS or ": allowed: " not in after:
         return text.split("new.toml: ", 1)[-1]
     return f"allowed: {FIELDS[key].allowed}"
+
+
+def name_program(design: Design) -> str:
+    """A text that is equal for designs that certainly share a compiled program, but for the number
+    of drops.
+    """
+    changed = ("portion.", "material.")
+    kept = {key: item for key, item in sorted(design.changes.items()) if key.startswith(changed)}
+    parts = (design.products, design.bucket, design.move, design.has_load_cell, design.runs, kept)
+    return repr(parts)
 
 
 def name_run_command(design: Design, stem: str) -> list[str]:

@@ -2,6 +2,7 @@
 process.
 """
 
+import json
 import tomllib
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -46,12 +47,12 @@ class BucketCard(NamedTuple):
 
 
 class SceneFacts(NamedTuple):
-    """What is known of a scene before it is computed: notes and fill levels in words, and a page
-    with its buckets in 3-D.
+    """What is known of a scene before it is computed: notes and fill levels in words, and its
+    buckets in 3-D as JSON text, for player.js.
     """
 
     notes: list[str]
-    page: str
+    view: str
 
 
 class Curve(NamedTuple):
@@ -245,7 +246,7 @@ def describe_scene(text: str, folder: str) -> SceneFacts:
     from dem_jax.scene import parse_scene
     from dem_jax.visualization.metadata import describe_fills, describe_portion, describe_stickiness
     from dem_jax.visualization.summary import list_piece_notes, list_wall_notes
-    from dem_jax.visualization.web_viewer import view_walls, write_player
+    from dem_jax.visualization.web_viewer import view_walls
 
     scene = parse_scene(text, Path(folder) / "new.toml")
     read = inline_buckets(scene)
@@ -270,7 +271,8 @@ def describe_scene(text: str, folder: str) -> SceneFacts:
         + scene.feed_bucket.open_dwell
     )
     times = np.linspace(0.0, end + scene.feed_bucket.closing_time, INSTANTS)
-    return SceneFacts(notes, write_player("Buckets", view_walls(read, times, level)))
+    view = {"view": view_walls(read, times, level), "more": False, "span": 0.0}
+    return SceneFacts(notes, json.dumps(view))
 
 
 def find_level(capacity: Any, heap: float) -> np.ndarray | None:
@@ -440,20 +442,44 @@ def compare_runs(paths: list[str]) -> Comparison:
     return Comparison(differing, describe_differences([Path(path).stem for path in paths], runs))
 
 
-def write_run_player(path: str, member: int | None, script: str) -> str:
-    """A page that plays a run, as HTML text. script: runs behind the player's. Raises RecordError
-    and SceneError.
-    """
-    from dem_jax.visualization.web_viewer import build_view_data, write_player
+def write_empty_player(script: str) -> str:
+    """The page of the 3-D view, without a view, as HTML text. script: runs behind the player's."""
+    from dem_jax.visualization.web_viewer import write_player
 
-    whole = _load(path)
-    run = whole if whole.run_count is None else whole.member(_choose_member(whole, member))
-    view = build_view_data(run)
+    return write_player("3-D view", None, script)
+
+
+def write_view(path: str, member: int, grows: bool) -> str:
+    """The 3-D view of a run as JSON text, for player.js; "" while there are no poses.
+
+    Args:
+        path: of the results.
+        member: number of the run, of an ensemble.
+        grows: whether the run is being computed.
+
+    Raises:
+        RecordError: it cannot be read, or has no poses.
+        SceneError: its scene cannot be read.
+    """
+    from dem_jax.scene import parse_scene
+    from dem_jax.visualization.web_viewer import build_view_data
+
+    try:
+        whole = _load(path)
+        run = whole if whole.run_count is None else whole.member(_choose_member(whole, member))
+        view = build_view_data(run)
+    except (OSError, RecordError):  # of a file without samples
+        if not grows:
+            raise
+        view = None
     if view is None:
+        if grows:
+            return ""
         raise RecordError(
             f"{Path(path).name}: no poses were stored; allowed: a run with run.frames above 0"
         )
-    return write_player(Path(path).stem, view, script)
+    span = parse_scene(run.scene, path).run.duration if grows else 0.0
+    return json.dumps({"view": view, "more": grows, "span": span})
 
 
 def call_safely(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:

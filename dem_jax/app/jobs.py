@@ -3,21 +3,22 @@ reason of a failure.
 """
 
 import asyncio
-import json
-import os
 import re
 import shlex
 import signal
-import sys
+import subprocess
 import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from dem_jax.app.workers import Drop, Worker
+
 PROGRAMS = {"dem-jax": "dem_jax", "calibrate": "calibrate", "product-model": "product_model"}
 PROGRESS = re.compile(r"(?:(\w[\w ]*):\s*)?(\d+)%\s*\|[^|]*\|[^\[]*\[([\d:]+)\s*<\s*([\d:?]+)")
 LAST_LINES = 40  # of stderr that are kept
+TIME_TO_END = 10.0  # s, of a process that was told to end
 
 
 @dataclass
@@ -26,7 +27,7 @@ class Job:
 
     argv: program and arguments. state: "waiting", "running", "done", "failed" or "cancelled".
     share: 0 to 1, None: not known. time_left: in words. lines: of standard output. errors: of
-    standard error.
+    standard error. drop: what it computes, if it is a drop.
     """
 
     argv: list[str]
@@ -37,7 +38,8 @@ class Job:
     lines: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
     elapsed: float = 0.0
-    process: asyncio.subprocess.Process | None = None
+    drop: Drop | None = None
+    process: subprocess.Popen[bytes] | None = None
 
     @property
     def command(self) -> str:
@@ -63,13 +65,15 @@ class Job:
         last = self.errors[-1] if self.errors else "it gave no reason"
         return f"{self.state}: {last}"
 
-    def read_progress(self, text: str) -> None:
-        """Take a line of standard error: of a progress bar, or a message."""
+    def read_progress(self, text: str, is_whole: bool = True) -> None:
+        """Take a line of standard error: of a progress bar, or a message. is_whole: whether it has
+        ended.
+        """
         found = PROGRESS.search(text)
         if found:
             self.phase, self.share = (found[1] or "").strip(), int(found[2]) / 100
             self.time_left = "" if "?" in found[4] else found[4]
-        elif text.strip() and "%|" not in text:
+        elif is_whole and text.strip() and "%|" not in text:
             self.errors = [*self.errors, text.strip()][-LAST_LINES:]
 
 
@@ -79,30 +83,51 @@ def format_command(argv: Sequence[str]) -> str:
 
 
 class JobRunner:
-    """Runs jobs one after the other, each in a process that waits for it with all modules imported.
+    """Runs jobs one after the other, each in a process of its own; that of the next drop waits with
+    its program compiled.
 
     folder: the working folder of the commands.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._spare: asyncio.subprocess.Process | None = None
+        self._spare: Worker | None = None
+        self._expected: Drop | None = None
         self._turn = asyncio.Lock()
+        self._is_closed = False
         self.jobs: list[Job] = []
 
-    async def prepare(self) -> None:
-        """Start the process that waits for the next job."""
-        if self._spare is None or self._spare.returncode is not None:
-            self._spare = await self._start()
+    def expect(self, drop: Drop | None) -> None:
+        """Have a process ready for a drop, as soon as no job runs; None: with all modules imported
+        only.
+        """
+        self._expected = drop
+        if not self._is_closed and not any(job.state == "running" for job in self.jobs):
+            self._refill()
+
+    def _refill(self) -> None:
+        self._spare = self._take_worker(self._expected)
+        self._spare.prepare(self._expected)
+
+    def _take_worker(self, drop: Drop | None) -> Worker:
+        """The process that waits, if it suits a drop, else a new one in its place."""
+        worker, self._spare = self._spare, None
+        if worker is not None and worker.suits(drop):
+            return worker
+        if worker is not None:
+            worker.kill()
+        return Worker(self._folder)
 
     async def run(self, argv: Sequence[str]) -> Job:
         """Run a command to its end; returns its job. It never raises for a command that fails."""
         return await self.follow(self.enter(argv))
 
-    def enter(self, argv: Sequence[str]) -> Job:
-        """A job that waits. Raises KeyError for another program than ``PROGRAMS``."""
+    def enter(self, argv: Sequence[str], drop: Drop | None = None) -> Job:
+        """A job that waits. drop: what it computes, if it is a drop. Raises KeyError for another
+        program than ``PROGRAMS``.
+        """
         PROGRAMS[argv[0]]  # noqa: B018
-        job = Job(list(argv))
+        job = Job(list(argv), drop=drop)
         self.jobs.append(job)
         return job
 
@@ -116,28 +141,23 @@ class JobRunner:
     async def _run(self, job: Job) -> None:
         started = time.monotonic()
         job.state = "running"
-        await self.prepare()
-        process, self._spare = self._spare, None
-        assert process is not None and process.stdin is not None
-        job.process = process
-        order = {"program": PROGRAMS[job.argv[0]], "argv": job.argv[1:]}
-        with suppress(ConnectionError):
-            process.stdin.write(json.dumps(order).encode() + b"\n")
-            await process.stdin.drain()
-            process.stdin.close()
-        await asyncio.gather(_read_output(process, job), _read_errors(process, job))
-        code = await process.wait()
+        worker = Worker(self._folder) if job.drop is None else self._take_worker(job.drop)
+        job.process = worker.process
+        job.phase = "" if worker.is_ready else "preparing"
+        code = await worker.run(
+            PROGRAMS[job.argv[0]], job.argv[1:], job.lines.append, job.read_progress
+        )
         job.elapsed, job.process = time.monotonic() - started, None
-        if job.state == "cancelled":
-            return
-        job.state = "done" if code == 0 else "failed"
-        if code < 0:
-            job.errors.append(
-                f"the process was ended by signal {-code} ({signal.Signals(-code).name})"
-            )
-        elif code and not job.errors:
-            job.errors.append(f"the process ended with exit code {code}")
-        await self.prepare()
+        if job.state != "cancelled":
+            _judge_end(job, code)
+        if job.drop is not None and not self._is_closed:
+            self._refill()
+
+    def is_writing(self, name: str) -> bool:
+        """Whether a job that is not over writes a file of results."""
+        return any(
+            job.drop is not None and name in job.argv for job in self.jobs if not job.is_over
+        )
 
     def cancel(self, job: Job) -> None:
         """End a job; what it has computed stays in its file."""
@@ -150,44 +170,29 @@ class JobRunner:
             with suppress(ProcessLookupError):
                 job.process.terminate()
 
+    def end_spare(self) -> None:
+        """End the process that waits."""
+        if self._spare is not None:
+            self._spare.kill()
+            self._spare = None
+
     async def close(self) -> None:
-        """End all processes, and wait until they have ended."""
+        """End all processes, and wait until they have ended; no job begins any more."""
+        self._is_closed = True
         for job in self.jobs:
             self.cancel(job)
-        ending = [job.process for job in self.jobs if job.process is not None]
-        if self._spare is not None and self._spare.returncode is None:
-            with suppress(ProcessLookupError):
-                self._spare.kill()
-            ending.append(self._spare)
-        for process in ending:
-            await process.communicate()
-
-    async def _start(self) -> asyncio.subprocess.Process:
-        pipe = asyncio.subprocess.PIPE
-        return await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "dem_jax.cli.worker"),
-            stdin=pipe,
-            stdout=pipe,
-            stderr=pipe,
-            cwd=self._folder,
-            env={**os.environ, "PYTHONUNBUFFERED": "1", "MPLBACKEND": "Agg"},
-        )
+        self.end_spare()
+        for process in [job.process for job in self.jobs if job.process is not None]:
+            try:
+                await asyncio.to_thread(process.wait, TIME_TO_END)
+            except subprocess.TimeoutExpired:
+                process.kill()
 
 
-async def _read_output(process: asyncio.subprocess.Process, job: Job) -> None:
-    assert process.stdout is not None
-    async for line in process.stdout:
-        job.lines.append(line.decode(errors="replace").rstrip("\n"))
-
-
-async def _read_errors(process: asyncio.subprocess.Process, job: Job) -> None:
-    """Read standard error, whose progress bars end in carriage returns."""
-    assert process.stderr is not None
-    rest = ""
-    while chunk := await process.stderr.read(4096):
-        *whole, rest = re.split(r"[\r\n]", rest + chunk.decode(errors="replace"))
-        for text in whole:
-            job.read_progress(text)
-        if PROGRESS.search(rest):
-            job.read_progress(rest)
-    job.read_progress(rest)
+def _judge_end(job: Job, code: int) -> None:
+    """The state of a job after its process has ended with an exit code."""
+    job.state = "done" if code == 0 else "failed"
+    if code < 0:
+        job.errors.append(f"the process was ended by signal {-code} ({signal.Signals(-code).name})")
+    elif code and not job.errors:
+        job.errors.append(f"the process ended with exit code {code}")

@@ -1,61 +1,36 @@
 """The server: routes of the pages, of views and of files, behind the guard."""
 
 import asyncio
-import html
-import secrets
+import logging
+import signal
 import socket
 import sys
-import webbrowser
-from pathlib import Path
 from typing import Any
 
-from fastapi import Response
+import uvicorn
+from fastapi import FastAPI, Response
 from fastapi.responses import FileResponse, HTMLResponse, PlainTextResponse
 from nicegui import app, ui
 
 from dem_jax.app import facts
 from dem_jax.app.access import AccessGuard
-from dem_jax.app.folder import Folder
 from dem_jax.app.pages.frame import show_frame
-from dem_jax.app.session import Session, Workspace
+from dem_jax.app.session import STATIC, Session, Workspace
 from dem_jax.errors import RecordError
 
-HOST = "127.0.0.1"
-STATIC = Path(__file__).parent / "static"
+PLAYER_HEADERS = {"cache-control": "private, max-age=86400"}
 
 
-def find_port(wanted: int) -> int:
-    """The port that was asked for, or for 0 a free one. Raises RecordError for one that is taken."""
-    with socket.socket() as probe:
-        if sys.platform != "win32":
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, wanted))
-        except (OSError, OverflowError) as error:
-            raise RecordError(
-                f"--port {wanted}: it is taken; allowed: another port, or 0 for a free one"
-            ) from error
-        return int(probe.getsockname()[1])
+def serve(workspace: Workspace, listening: socket.socket, token: str) -> None:
+    """Serve the app until it is interrupted.
 
-
-def serve(folder: Folder, port: int, opens_browser: bool) -> None:
-    """Serve the app until it is interrupted. Raises RecordError for a port that is taken."""
-    port = find_port(port)
-    token = secrets.token_urlsafe(24)
-    address = f"http://{HOST}:{port}/?token={token}"
-    workspace = Workspace(folder)
+    listening: takes its connections. token: of its address.
+    """
+    outer = FastAPI(openapi_url=None)
+    outer.add_middleware(AccessGuard, token=token, port=listening.getsockname()[1])
     # A bar over the page while files load has no name that a screen reader could tell.
     app.config.quasar_config["loadingBar"]["skipHijack"] = True
-    app.add_middleware(AccessGuard, token=token, port=port)
     add_routes(workspace)
-
-    def announce() -> None:
-        print(f"dem-jax app of {folder.root}\n{address}\nCtrl+C ends it.", flush=True)
-        if opens_browser:
-            asyncio.get_running_loop().run_in_executor(None, webbrowser.open, address)
-
-    app.on_startup(announce)
-    app.on_startup(workspace.start)
     app.on_shutdown(workspace.close)
 
     async def show_root() -> None:
@@ -65,21 +40,34 @@ def serve(folder: Folder, port: int, opens_browser: bool) -> None:
             stored["session"] = Session(workspace)
         show_frame(stored["session"])
 
-    ui.run(
-        show_root,
-        host=HOST,
-        port=port,
+    ui.run_with(
+        outer,
+        root=show_root,
         title="dem-jax",
         favicon="⚖️",
-        show=False,
-        reload=False,
         language="en-US",
         show_welcome_message=False,
         tailwind=False,
         binding_refresh_interval=None,
         reconnect_timeout=30.0,
+    )
+    logging.getLogger("uvicorn.error").addFilter(is_worth_saying)
+    config = uvicorn.Config(
+        outer,
+        log_level="warning",
+        ws="wsproto",
         timeout_graceful_shutdown=1,  # s, for tabs that are open
     )
+    for number in (signal.SIGINT, signal.SIGTERM):  # after the server has ended
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    uvicorn.Server(config).run([listening])
+
+
+def is_worth_saying(record: logging.LogRecord) -> bool:
+    """Whether a line belongs into the log: not that tabs were open when the server ended."""
+    error = record.exc_info[1] if record.exc_info else None
+    is_ending = isinstance(error, asyncio.CancelledError) or "graceful shutdown" in record.msg
+    return not is_ending
 
 
 def add_routes(workspace: Workspace) -> None:
@@ -88,22 +76,25 @@ def add_routes(workspace: Workspace) -> None:
     head = '<link rel="stylesheet" href="/assets/app.css"><script src="/assets/app.js"></script>'
     ui.add_head_html(head, shared=True)
 
-    @app.get("/view/{key}")
-    def _view(key: str) -> Response:
-        text = workspace.find_page(key)
-        return PlainTextResponse("This view is gone.", 404) if text is None else HTMLResponse(text)
+    @app.get("/player")
+    async def _player() -> Response:
+        return HTMLResponse(await workspace.write_player(), headers=PLAYER_HEADERS)
 
-    @app.get("/play/{name}")
-    async def _play(name: str, member: int | None = None) -> Response:
-        script = (STATIC / "player.js").read_text(encoding="utf-8")
+    @app.get("/preview/{key}")
+    def _preview(key: str) -> Response:
+        text = workspace.find_view(key)
+        if text is None:
+            return PlainTextResponse("This view is gone.", 404)
+        return Response(text, media_type="application/json")
+
+    @app.get("/poses/{name}")
+    async def _poses(name: str, member: int = 0) -> Response:
         try:
-            path = workspace.folder.find_path(name)
-            return HTMLResponse(
-                await workspace.helper.ask(facts.write_run_player, str(path), member, script)
-            )
+            path, grows = workspace.folder.find_path(name), workspace.runner.is_writing(name)
+            text = await workspace.helper.ask(facts.write_view, str(path), member, grows)
         except RecordError as error:
-            words = f'<!DOCTYPE html><html lang="en"><title>No view</title><p>{html.escape(str(error))}</p></html>'
-            return HTMLResponse(words)
+            return PlainTextResponse(str(error), 404)
+        return Response(text, 200 if text else 204, media_type="application/json")
 
     @app.get("/files/{name}")
     def _file(name: str, inline: bool = False) -> Response:

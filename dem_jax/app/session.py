@@ -1,41 +1,63 @@
 """What the server shares, and what each tab of a browser has for itself."""
 
+import asyncio
 import secrets
 import tomllib
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from dem_jax.app import facts
-from dem_jax.app.design import Design, name_run_command, read_design
+from dem_jax.app.design import Design, name_program, name_run_command, read_design
 from dem_jax.app.facts import BucketCard, ProductCard
 from dem_jax.app.folder import Folder
 from dem_jax.app.helper import Helper
 from dem_jax.app.jobs import Job, JobRunner
+from dem_jax.app.workers import Drop
 from dem_jax.errors import RecordError
 
-MOST_PAGES = 16  # previews that are kept
+STATIC = Path(__file__).parent / "static"
+MOST_VIEWS = 16  # previews that are kept
+PATIENCE = 0.7  # s without another change, before a program is compiled
 
 
 class Workspace:
     """The folder, the helper process and the jobs of a server."""
 
-    def __init__(self, folder: Folder) -> None:
+    def __init__(self, folder: Folder, runner: JobRunner) -> None:
         self.folder = folder
         self.helper = Helper()
-        self.runner = JobRunner(folder.root)
-        self._pages: OrderedDict[str, str] = OrderedDict()
+        self.runner = runner
+        self._expecting: asyncio.TimerHandle | None = None
+        self._player = ""
+        self._views: OrderedDict[str, str] = OrderedDict()
         self._products: list[ProductCard] = []
         self._buckets: list[BucketCard] = []
 
-    async def start(self) -> None:
-        """Start the processes that wait."""
+    def start(self) -> None:
+        """Start the processes that wait: for the first drop of a person who changes nothing."""
+        self.runner.expect(describe_drop(Design()))
         self.helper.prepare()
-        await self.runner.prepare()
+
+    def expect(self, design: Design) -> None:
+        """Have a process ready for the drop of a design, unless another is expected in a moment."""
+        if self._expecting is not None:
+            self._expecting.cancel()
+        drop = describe_drop(design)
+        loop = asyncio.get_running_loop()
+        self._expecting = loop.call_later(PATIENCE, self.runner.expect, drop)
 
     async def close(self) -> None:
-        """End all processes."""
+        """End all processes, and wait for those of commands, which save what they have."""
+        if self._expecting is not None:
+            self._expecting.cancel()
         await self.runner.close()
+        self.end()
+
+    def end(self) -> None:
+        """End the processes that wait."""
+        self.runner.end_spare()
         self.helper.close()
 
     async def list_products(self) -> list[ProductCard]:
@@ -63,17 +85,29 @@ class Workspace:
         self._buckets = self._buckets or await self.helper.ask(facts.describe_buckets)
         return self._buckets
 
-    def keep_page(self, text: str) -> str:
-        """Keep a page of a view; returns its key."""
+    async def write_player(self) -> str:
+        """The page of the 3-D view."""
+        if not self._player:
+            script = (STATIC / "player.js").read_text(encoding="utf-8")
+            self._player = await self.helper.ask(facts.write_empty_player, script)
+        return self._player
+
+    def keep_view(self, text: str) -> str:
+        """Keep a view as JSON text; returns its key."""
         key = secrets.token_hex(8)
-        self._pages[key] = text
-        while len(self._pages) > MOST_PAGES:
-            self._pages.popitem(last=False)
+        self._views[key] = text
+        while len(self._views) > MOST_VIEWS:
+            self._views.popitem(last=False)
         return key
 
-    def find_page(self, key: str) -> str | None:
-        """A page that was kept; None: there is none."""
-        return self._pages.get(key)
+    def find_view(self, key: str) -> str | None:
+        """A view that was kept; None: there is none."""
+        return self._views.get(key)
+
+
+def describe_drop(design: Design) -> Drop:
+    """What a process prepares for the drop of a design."""
+    return Drop(design.to_toml(), design.seed, design.runs, name_program(design))
 
 
 @dataclass
@@ -93,6 +127,13 @@ class Session:
     @property
     def folder(self) -> Folder:
         return self.workspace.folder
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set a field; a new design is prepared."""
+        is_new = name == "design" and getattr(self, "design", None) not in (None, value)
+        super().__setattr__(name, value)
+        if is_new:
+            self.workspace.expect(value)
 
     def next_command(self) -> list[str]:
         """The command of the next drop; the name in it may be taken by another tab meanwhile."""
@@ -126,4 +167,5 @@ class Session:
         its results.
         """
         stem = self.folder.reserve_stem(self.design.stem, self.design.to_toml())
-        return self.workspace.runner.enter(name_run_command(self.design, stem)), f"{stem}.h5"
+        command = name_run_command(self.design, stem)
+        return self.workspace.runner.enter(command, describe_drop(self.design)), f"{stem}.h5"

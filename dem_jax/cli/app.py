@@ -2,7 +2,6 @@
 
 from dem_jax import process
 from dem_jax.cli.arguments import Args, Commands, create_command, nonnegative_int
-from dem_jax.errors import RecordError
 
 
 def add_command(commands: Commands) -> None:
@@ -25,16 +24,9 @@ def add_command(commands: Commands) -> None:
 def app(args: Args) -> None:
     """Serve the app until it is interrupted."""
     from dem_jax.app.folder import Folder
+    from dem_jax.app.start import start_app
 
     folder = Folder(args.folder)
-    try:
-        from dem_jax.app.server import serve
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.split(".")[0] != "nicegui":
-            raise
-        raise RecordError(
-            "app: NiceGUI is missing; allowed: pip install 'product-impact[app]'"
-        ) from error
     process.end_signal_handling()  # the server has signals of its own, and ends the processes that
     # it started
-    serve(folder, args.port, not args.no_browser)
+    start_app(folder, args.port, not args.no_browser)

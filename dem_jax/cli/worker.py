@@ -1,26 +1,57 @@
-"""python -m dem_jax.cli.worker: one command of the app, in a process that has imported all modules
-before.
+"""python -m dem_jax.cli.worker: one command of the app, in a process that may be ready for it.
 
-The first line of standard input is JSON: {"program": "dem_jax", "argv": ["run", "weigh-bucket"]}.
-The worker acts as ``python -m PROGRAM ARGV``, with the same output and exit code.
+Each line of standard input is JSON: {"prepare": {"scene": TOML, "seed": 0, "runs": 1}} imports all
+modules and compiles the program of a scene (null: imports only), and is answered by READY;
+{"program": "dem_jax", "argv": ["run", "weigh-bucket"]} is the command, which the worker runs as
+``python -m PROGRAM ARGV``, with the same output and exit code. When standard input ends, the app is
+gone, and the worker ends, too; a command saves what it has computed.
 """
 
 import json
+import os
+import queue
+import signal
 import sys
+import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
 
 PROGRAMS = ("dem_jax", "calibrate", "product_model")
+READY = "dem_jax.cli.worker: ready"  # the answer to a preparation
+TIME_TO_LEAVE, TIME_TO_SAVE = 0.5, 8.0  # s, at most, without the app
 
 
 def main() -> int:
     """Wait for a command, and run it; the exit code."""
-    _import_ahead()
-    line = sys.stdin.readline()
-    if not line:
-        return 0
-    order = json.loads(line)
-    sys.argv = [order["program"], *order["argv"]]
-    return _find_main(order["program"])()
+    orders: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+    threading.Thread(target=_read_orders, args=(orders,), daemon=True).start()
+    while (order := orders.get()) is not None:
+        if "prepare" not in order:
+            sys.argv = [order["program"], *order["argv"]]
+            return _find_main(order["program"])()
+        _import_ahead()
+        if order["prepare"] is not None:
+            with suppress(Exception):  # the command itself will say what is wrong
+                compile_program(**order["prepare"])
+        print(READY, flush=True)
+    return 0
+
+
+def _read_orders(orders: "queue.SimpleQueue[dict[str, Any] | None]") -> None:
+    """Body of the thread that reads standard input, without its lock: it may wait there when the
+    process ends.
+    """
+    with open(0, "rb", buffering=0, closefd=False) as lines:
+        for line in lines:
+            orders.put(json.loads(line))
+    orders.put(None)
+    time.sleep(TIME_TO_LEAVE)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(TIME_TO_SAVE)
+    os._exit(1)
 
 
 def _import_ahead() -> None:
@@ -29,6 +60,29 @@ def _import_ahead() -> None:
 
     import dem_jax.runner.interface
     import dem_jax.visualization.summary  # noqa: F401
+
+
+def compile_program(scene: str, seed: int, runs: int) -> None:
+    """Compile the program of a drop, by none of its samples, so that this process has it.
+
+    Args:
+        scene: TOML text; its files are in the working folder.
+        seed: the first.
+        runs: number of drops; 1: ``dem-jax run``, more: ``dem-jax ensemble``.
+
+    Raises:
+        SceneError: it cannot be used.
+    """
+    from dem_jax.cli.simulation_options import use_cache
+    from dem_jax.runner import executors
+    from dem_jax.runner.job_setup import prepare_job
+    from dem_jax.scene import parse_scene
+
+    use_cache()
+    read = parse_scene(scene, Path.cwd() / "new.toml")
+    executors.compile_program(
+        prepare_job(read, range(seed, seed + runs), None if runs == 1 else runs)
+    )
 
 
 def _find_main(program: str) -> Callable[[], int]:

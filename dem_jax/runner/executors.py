@@ -14,6 +14,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from dem_jax.broad_phase import overflow_recovery
 from dem_jax.dynamics import interleaved_batch, stepping
 from dem_jax.runner import multihost, programs
 from dem_jax.runner.chunk import (
@@ -77,6 +78,13 @@ def execute_chunk(
             job.sweep,
         )
     )
+
+
+def compile_program(job: Job) -> None:
+    """Compile the program of a job, by none of its samples, so that this process has it."""
+    with jax.enable_x64(job.is_double):
+        start = overflow_recovery.reset_report(job.state)
+        execute_chunk(job, job.system, start, job.sample_index(job.state), 0)
 
 
 def run_single(chunk: Chunk) -> ComputedChunk:

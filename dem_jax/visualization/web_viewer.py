@@ -155,6 +155,7 @@ def view_walls(scene: Scene, times: np.ndarray, level: np.ndarray | None = None)
             {"triangles": _encode_base64(_plate_triangles(plates, whole)), "edges": whole}
             for plates in walls.values()
         ],
+        "groups": list(walls),
         "wall_pose": _encode_base64(_sample_wall_poses(list(walls), wall_pose, times)),
         "box": [points.min(axis=0).tolist(), points.max(axis=0).tolist()],
         "fastest": 0.0,
@@ -175,22 +176,25 @@ def write_controls(names: Sequence[str]) -> str:
 </div></div>"""
 
 
-def write_player(title: str, view: dict[str, Any], more: str = "") -> str:
+def write_player(title: str, view: dict[str, Any] | None, more: str = "") -> str:
     """A self-contained page of the player alone, as HTML text.
 
     Args:
         title: of the page.
-        view: of ``build_view_data`` or ``view_walls``.
+        view: of ``build_view_data`` or ``view_walls``; None: a script puts one there.
         more: script that runs after the player's.
     """
     fields = {
         "view": write_controls([title]),
-        "views": json.dumps([{"name": title, "view": view}]).replace("<", "\\u003c"),
+        "views": json.dumps([{"name": title, "view": view}] if view else []).replace(
+            "<", "\\u003c"
+        ),
         "three": load_three_js(),
         "script": webpage.read_page_part("report.js"),
         "more": more,
     }
-    return webpage.fill_page(title, POLICY, "player.html", **fields)
+    policy = POLICY if view else f"{POLICY}; connect-src 'self'"
+    return webpage.fill_page(title, policy, "player.html", **fields)
 
 
 def _sample_wall_poses(groups: Sequence[str], wall_pose: WallPose, times: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Page 2: the bucket, how the portion is released, and the load cell."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +17,13 @@ from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene
 
 Action = Callable[[], Awaitable[None]]
+MoveAction = Callable[[Sequence[float], bool], Awaitable[None]]  # by how much (m), whether it ends
 LONGEST = 400  # ms of the timeline of the flaps
+PLACE_HINTS = (
+    "From the middle of its mouth under the feed bucket.",
+    "From the middle of its mouth under the feed bucket.",
+    "Up, from where its lowest point is at the drop height.",
+)
 
 
 async def show_bucket(session: Session) -> None:
@@ -29,9 +35,12 @@ async def show_bucket(session: Session) -> None:
     with ui.element("div").classes("columns"):
         form = ui.element("section").classes("wide")
         with ui.element("section").classes("side").props('aria-label="Buckets in 3-D"'):
-            view = ui.element("div").classes("view")
+            with ui.element("div").classes("view").props("id=bucket-place") as place:
+                parts.show_view("bucket-view", "Buckets in 3-D; the time moves the flaps")
             notes = ui.element("div").props("aria-live=polite")
             command = ui.element("div")
+
+    moved: list[MoveAction] = []  # what the form does when the bucket is dragged
 
     async def show_view() -> None:
         text = session.design.to_toml()
@@ -51,28 +60,35 @@ async def show_bucket(session: Session) -> None:
             with notes:
                 parts.show_error(str(error))
             return
-        if view.is_deleted or text != session.design.to_toml():
+        if notes.is_deleted or text != session.design.to_toml():
             return  # a later change has a view of its own
-        view.clear()
+        key = session.workspace.keep_view(found.view)
+        moves = "&moves" if session.design.bucket.endswith(".toml") else ""
+        parts.change_view("bucket-view", f"source=/preview/{key}&keeps{moves}")
         notes.clear()
-        with view:
-            key = session.workspace.keep_page(found.page)
-            ui.element("iframe").props(
-                f'src="/view/{key}" title="Buckets in 3-D; the time moves the flaps"'
-            )
         with notes:
             parts.show_lines(found.notes)
 
     async def refresh() -> None:
         form.clear()
         with form:
-            await _show_form(session, refresh, show_view)
+            moved.clear()
+            await _show_form(session, refresh, show_view, moved.append)
         await show_view()
+
+    async def move_bucket(event: events.GenericEventArguments) -> None:
+        *by, is_over = event.args["detail"]
+        for move in moved:
+            await move(by, is_over)
+
+    place.on("bucketmoved", move_bucket, ["detail"])
 
     await refresh()
 
 
-async def _show_form(session: Session, refresh: Action, show_view: Action) -> None:
+async def _show_form(
+    session: Session, refresh: Action, show_view: Action, follow: Callable[[MoveAction], None]
+) -> None:
     """Bucket, release and load cell."""
     try:
         scene = session.design.read_scene(session.folder.root)
@@ -94,6 +110,8 @@ async def _show_form(session: Session, refresh: Action, show_view: Action) -> No
     ui.select(names, value=session.design.bucket, label="Bucket", on_change=choose).props(
         "outlined"
     ).classes("wide-field")
+    if session.design.bucket.endswith(".toml"):
+        follow(_show_place(session, scene, show_view))
     with ui.expansion("Your own weigh bucket from an STL file").classes("more"):
         _show_upload(session, refresh)
     parts.show_heading("Release")
@@ -115,6 +133,41 @@ async def _show_form(session: Session, refresh: Action, show_view: Action) -> No
     if session.design.has_load_cell:
         parts.Fields(session, show_view).show(CELL_FIELDS, scene)
     ui.button("Next: drop", on_click=lambda: ui.navigate.to("/drop")).props("no-caps unelevated")
+
+
+def _show_place(session: Session, scene: Scene, show_view: Action) -> MoveAction:
+    """Where an STL bucket of one's own is, in numbers; returns what is done when it is dragged."""
+    assert scene.weigh_bucket is not None
+    of_file = scene.weigh_bucket.move
+    at = session.design.move or of_file
+    parts.show_text("p", "Where it is: drag it in the 3-D view, or by numbers.").classes("small")
+    boxes = []
+    with ui.element("div").classes("fields"):
+        for axis, value, hint in zip("xyz", at, PLACE_HINTS, strict=True):
+            box = ui.number(f"Move along {axis} (mm)", value=round(1e3 * value, 3), step=1)
+            box.props("outlined dense debounce=300").classes("field").props["hint"] = hint
+            boxes.append(box)
+    begun: dict[str, list[float] | None] = {"at": None}  # when it is dragged, (mm)
+
+    async def take() -> None:
+        if begun["at"] is not None or any(box.value is None for box in boxes):
+            return
+        x, y, z = (round(1e-3 * float(box.value), 6) for box in boxes)
+        if (x, y, z) != (session.design.move or of_file):
+            session.design = replace(session.design, move=(x, y, z))
+            await show_view()
+
+    async def move(by: Sequence[float], is_over: bool) -> None:
+        first = begun["at"] = begun["at"] or [float(box.value or 0) for box in boxes]
+        for box, value, step in zip(boxes, first, by, strict=True):
+            box.value = round(value + 1e3 * step, 3)
+        if is_over:
+            begun["at"] = None
+            await take()
+
+    for box in boxes:
+        box.on_value_change(take)
+    return move
 
 
 def _show_timeline(scene: Scene, fields: parts.Fields) -> None:

@@ -1,6 +1,6 @@
 """Page 3: the drop: one or many, its progress, the pieces in 3-D, the force and the numbers."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,11 +8,13 @@ from nicegui import ui
 
 from dem_jax.app import facts
 from dem_jax.app.design import RUN_COUNTS
+from dem_jax.app.facts import RunFacts
 from dem_jax.app.jobs import Job
 from dem_jax.app.pages import parts
 from dem_jax.app.session import Session
 from dem_jax.errors import RecordError, SceneError
 
+VIEW = "drop-view"  # name of the 3-D view
 WORDS = {1: "One drop", 16: "16 drops", 64: "64 drops"}
 
 
@@ -27,13 +29,19 @@ async def show_drop(session: Session) -> None:
             runs.props('aria-label="Number of drops"')
             seed = ui.number("First seed", value=session.design.seed, min=0, step=1, precision=0)
             seed.props(
-                'outlined dense hint="Which arrangement of the pieces; the next drop has the next."'
+                'outlined dense hint="Which arrangement of the pieces; of several drops each has the next."'
             ).classes("seed")
             start = ui.button("Drop", icon="play_arrow").props("no-caps unelevated")
         ui.label(_describe_design(session)).classes("small")
-        follow = parts.show_job(session, "drop", lambda job: finish(job))
+        follow = parts.show_job(session, "drop", lambda job: finish(job), always=True)
         command = ui.element("div")
-    result = ui.element("section").props('aria-label="Result"')
+    with ui.element("section").props('aria-label="Result"'):
+        head = ui.element("div")
+        with ui.element("div").classes("halves"):
+            with ui.element("div").classes("view"):
+                parts.show_view(VIEW, "The drop in 3-D")
+            chart = ui.element("div")
+        numbers = ui.element("div")
 
     def show_command() -> None:
         command.clear()
@@ -57,9 +65,22 @@ async def show_drop(session: Session) -> None:
         start.disable()
         follow(job)
         show_command()
+        show_falling()
+
+    def show_falling() -> None:
+        """The drop that is computed, as far as it is."""
+        for each in (head, chart, numbers):
+            each.clear()
+        with chart:
+            ui.label("The pieces fall as they are computed; force and numbers follow.").classes(
+                "lead"
+            )
+        parts.change_view(VIEW, find_source(session.opened_jobs["drop"], 0) + "&plays")
 
     async def finish(_: Job) -> None:
-        session.shown, session.member = session.opened_jobs["drop"], None
+        name = session.opened_jobs["drop"]
+        if session.folder.find_path(name).is_file():
+            session.shown, session.member = name, None
         await show_result()
 
     def wake() -> None:
@@ -67,16 +88,23 @@ async def show_drop(session: Session) -> None:
         start.set_enabled(job is None or job.is_over)
 
     async def show_result() -> None:
-        result.clear()
-        with result:
-            await _show_result(session, show_result)
+        await _show_result(session, (head, chart, numbers), show_result)
         show_command()
 
     runs.on_value_change(change)
     seed.on_value_change(change)
     start.on_click(begin)
     ui.timer(0.2, wake)
-    await show_result()
+    if "drop" in session.jobs and not session.jobs["drop"].is_over:
+        show_command()
+        show_falling()
+    else:
+        await show_result()
+
+
+def find_source(name: str, member: int) -> str:
+    """What the 3-D view shows of a file of results."""
+    return f"source=/poses/{name}?member={member}"
 
 
 def _describe_design(session: Session) -> str:
@@ -91,42 +119,61 @@ def _describe_design(session: Session) -> str:
     return f"{names} into bucket {bucket}{f'; {changed}' if changed else ''}"
 
 
-async def _show_result(session: Session, refresh: Callable[[], Awaitable[None]]) -> None:
-    """A file of results: which one, the drop, the force, the numbers."""
+async def _show_result(
+    session: Session, places: Sequence[ui.element], refresh: Callable[[], Awaitable[None]]
+) -> None:
+    """A file of results: which one, the drop, the force, the numbers. places: of these."""
+    head, chart, numbers = places
+    for place in places:
+        place.clear()
     names = parts.list_results(session)
     if session.shown not in names:
         session.shown, session.member = (names[0] if names else ""), None
     if not session.shown:
-        ui.label("Nothing has been dropped in this folder yet.").classes("lead")
+        with head:
+            ui.label("Nothing has been dropped in this folder yet.").classes("lead")
         return
 
     async def choose(name: str) -> None:
         session.shown, session.member = name, None
         await refresh()
 
-    box = ui.select(names, value=session.shown, label="Result", on_change=lambda e: choose(e.value))
-    box.props("outlined dense").classes("wide-field")
-    path = str(session.folder.find_path(session.shown))
+    with head:
+        box = ui.select(
+            names, value=session.shown, label="Result", on_change=lambda e: choose(e.value)
+        )
+        box.props("outlined dense").classes("wide-field")
     try:
+        path = str(session.folder.find_path(session.shown))
         found = await session.workspace.helper.ask(facts.describe_run, path, session.member)
     except RecordError as error:
-        parts.show_error(str(error))
+        with head:
+            parts.show_error(str(error))
         return
-    if found.run_count > 1:
-        _show_members(session, found.run_count, found.member, refresh)
-    with ui.element("div").classes("halves"):
-        with ui.element("div").classes("view"):
-            source = f"/play/{session.shown}" + (
-                f"?member={found.member}" if found.run_count > 1 else ""
-            )
-            ui.element("iframe").props(f'src="{source}" title="The drop in 3-D" id=drop-view')
-        with ui.element("div"):
-            chart = parts.show_chart([(session.shown, found.force, found.settled)])
-            ui.run_javascript(f"followDrop({chart.id})")
-            with ui.element("div").classes("line"):
-                jump = ui.button("Jump to the peak", icon="bolt").props("outline no-caps")
-                jump.on_click(lambda: ui.run_javascript(f"sendTime({found.peak_time})"))
-                ui.label("Click into the force to see that instant.").classes("small")
+    if head.is_deleted:
+        return  # another page is shown
+    parts.change_view(VIEW, find_source(session.shown, found.member))
+    with head:
+        if found.run_count > 1:
+            _show_members(session, found.run_count, found.member, refresh)
+    with chart:
+        _show_curves(found)
+    with numbers:
+        _show_numbers(session, found)
+
+
+def _show_curves(found: RunFacts) -> None:
+    """Force and settled mass, with a cursor that is joined with the 3-D view."""
+    chart = parts.show_chart([(found.name, found.force, found.settled)])
+    ui.run_javascript(f"followDrop({chart.id})")
+    with ui.element("div").classes("line"):
+        jump = ui.button("Jump to the peak", icon="bolt").props("outline no-caps")
+        jump.on_click(lambda: ui.run_javascript(f"sendTime({found.peak_time})"))
+        ui.label("Click into the force to see that instant.").classes("small")
+
+
+def _show_numbers(session: Session, found: RunFacts) -> None:
+    """Numbers with their bands, what they depend on, and where to go from here."""
     parts.show_table(
         ["number", "value"],
         found.numbers,

@@ -3,6 +3,7 @@ a job, charts.
 """
 
 import asyncio
+import json
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
@@ -156,7 +157,7 @@ class Fields:
 
 
 def show_job(
-    session: Session, page: str, finished: Callable[[Job], Awaitable[None]]
+    session: Session, page: str, finished: Callable[[Job], Awaitable[None]], always: bool = False
 ) -> Callable[[Job], None]:
     """A place for the job of a page: its progress, the time left, a button that cancels it, and why
     it failed.
@@ -165,6 +166,7 @@ def show_job(
         session: of the tab; its job of this page is taken up if it still runs.
         page: name of the place.
         finished: called once when a job has ended, unless it was cancelled or failed.
+        always: whether it is called even then.
 
     Returns:
         A function that starts a job and shows it.
@@ -195,7 +197,7 @@ def show_job(
         if job.is_over:
             followed["job"] = None
             timer.deactivate()
-            if job.state == "done":
+            if job.state == "done" or always:
                 await finished(job)
 
     timer = ui.timer(0.15, update, active=False)
@@ -219,6 +221,19 @@ def _keep(task: asyncio.Task[Any]) -> None:
     """Keep a task until it is done: the loop itself does not."""
     _TASKS.add(task)
     task.add_done_callback(_TASKS.discard)
+
+
+def show_view(name: str, title: str, source: str = "") -> None:
+    """A 3-D view. name: of its element. title: what it shows. source: as for ``change_view``."""
+    address = f"/player#{source}" if source else "/player"
+    ui.element("iframe").props(f'src="{address}" title="{_escape(title)}" id="{name}"')
+
+
+def change_view(name: str, source: str) -> None:
+    """Show something else in a 3-D view. source: of its data, as player.js reads it; the one that
+    is shown goes on.
+    """
+    ui.run_javascript(f"showView({json.dumps(name)}, {json.dumps(source)})")
 
 
 def show_chart(

@@ -9,6 +9,12 @@ function markStep(path) {
   window.scrollTo(0, 0);
 }
 
+// Shows another source in a 3-D view; the same one goes on.
+function showView(id, source) {
+  const view = document.getElementById(id);
+  if (view) view.contentWindow.location.replace(`/player#${source}`);
+}
+
 let followed = null; // id of the chart that has the cursor
 
 function chartOf(id) {
@@ -16,6 +22,9 @@ function chartOf(id) {
   return element && element.chart;
 }
 
+const STEPS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10, Home: -1e9, End: 1e9 };
+
+// Joins a chart with the 3-D view: a click or the arrow keys in it choose the instant that both show.
 function followDrop(id) {
   followed = id;
   const join = () => {
@@ -25,13 +34,29 @@ function followDrop(id) {
       const [time] = chart.convertFromPixel({ gridIndex: 0 }, [event.offsetX, event.offsetY]);
       sendTime(time);
     });
+    const element = getHtmlElement(id);
+    const words = { role: "slider", tabindex: 0, "aria-valuemin": 0, "aria-valuemax": Math.round(lastTime(chart)), "aria-valuenow": 0 };
+    for (const [name, value] of Object.entries(words)) element.setAttribute(name, value);
+    element.addEventListener("keydown", (event) => {
+      if (!(event.key in STEPS)) return;
+      event.preventDefault();
+      tellView({ dropStep: STEPS[event.key] });
+    });
   };
   join();
 }
 
-function sendTime(time) {
+function lastTime(chart) {
+  return Math.max(0, ...chart.getOption().series.map(({ data }) => (data.length ? data[data.length - 1][0] : 0)));
+}
+
+function tellView(message) {
   const view = document.getElementById("drop-view");
-  if (view) view.contentWindow.postMessage({ dropTime: time }, location.origin);
+  if (view) view.contentWindow.postMessage(message, location.origin);
+}
+
+function sendTime(time) {
+  tellView({ dropTime: time });
   moveCursor(time);
 }
 
@@ -42,10 +67,22 @@ function moveCursor(time) {
   const style = { color: "#b91c1c", type: "solid", width: 1.5 };
   const series = chart.getOption().series.map(() => ({ markLine: { ...line, lineStyle: style } }));
   chart.setOption({ series });
+  const element = getHtmlElement(followed);
+  element.setAttribute("aria-valuenow", Math.round(time));
+  element.setAttribute("aria-valuetext", `${time.toFixed(1)} ms after the release`);
 }
 
-window.addEventListener("message", (event) => {
-  if (event.origin === location.origin && event.data && typeof event.data.dropShown === "number") moveCursor(event.data.dropShown);
+const MOVES = 100; // ms between two messages of a bucket that is dragged
+let told = 0;
+
+window.addEventListener("message", ({ origin, data }) => {
+  if (origin !== location.origin || !data) return;
+  if (typeof data.dropShown === "number") moveCursor(data.dropShown);
+  if (data.bucketMoved && (data.isOver || performance.now() - told > MOVES)) {
+    told = performance.now();
+    const detail = [...data.bucketMoved, data.isOver];
+    document.getElementById("bucket-place").dispatchEvent(new CustomEvent("bucketmoved", { detail }));
+  }
 });
 
 // The input of an upload has a button beside it; its own name is for readers of the screen.

@@ -1,4 +1,5 @@
 // Plays the stored poses of the runs of a report. #t=0.25 in the page's address shows that instant (s), #play plays.
+// A page around may put a view there by dropPlayer.put, again and again while a drop is computed.
 "use strict";
 
 (function () {
@@ -50,7 +51,7 @@
     const walls = view.walls.map((mesh) => outlined(geometryOf(mesh), glass, mesh.edges ? rim : null));
     whole.add(...pieces, ...walls);
     return {
-      whole, pieces, walls, time: view.time, box: view.box,
+      whole, pieces, walls, groups: view.groups, time: view.time, box: view.box,
       position: numbers(view.position), orientation: numbers(view.orientation), poses: numbers(view.wall_pose),
     };
   }
@@ -69,6 +70,7 @@
 
   const made = [];
   let now = null;
+  let grows = false; // whether more instants will come
   let frame = 0;
   let clock = null; // of the last picture while it plays (ms)
   let time = 0;
@@ -140,16 +142,45 @@
     now = made[k] = made[k] || built(views[k].view);
     scene.add(now.whole);
     slider.max = now.time.length - 1;
-    const span = now.time[now.time.length - 1] - now.time[0];
-    const paces = [...pace.options].map((option) => Number(option.value));
-    pace.selectedIndex = paces.findIndex((slower, n) => span * slower >= 6 || n === paces.length - 1);
+    choosePace(now.time[now.time.length - 1] - now.time[0]);
     look();
     go(now.time[0]);
   }
 
+  function choosePace(span) {
+    const paces = [...pace.options].map((option) => Number(option.value));
+    pace.selectedIndex = paces.findIndex((slower, n) => span * slower >= 6 || n === paces.length - 1);
+  }
+
+  // view: of the same bodies as the one that is shown, it takes its place at the instant that is shown.
+  // more: whether more instants will come. span: of all instants (s). keeps: instant and camera stay as they are.
+  function put(view, { plays = false, more = false, span = 0, follows = false, keeps = false } = {}) {
+    grows = more;
+    if (now && follows) {
+      const arrays = { position: view.position, orientation: view.orientation, poses: view.wall_pose };
+      for (const key of Object.keys(arrays)) now[key] = numbers(arrays[key]);
+      now.time = view.time;
+      slider.max = now.time.length - 1;
+      show(Math.min(frame, now.time.length - 1));
+      return;
+    }
+    const before = now && keeps ? [camera.position.clone(), controls.target.clone(), time] : null;
+    views[0] = { view };
+    if (now) scene.remove(now.whole);
+    now = made[0] = null;
+    choose(0);
+    if (before) {
+      camera.position.copy(before[0]);
+      controls.target.copy(before[1]);
+      go(before[2]);
+    }
+    if (span) choosePace(span);
+    start(plays);
+  }
+
   function go(t) {
-    time = t;
-    show(nearest(t));
+    time = Math.min(t, now.time[now.time.length - 1]);
+    show(nearest(time));
   }
 
   function start(plays) {
@@ -162,22 +193,23 @@
     if (clock !== null) {
       go(time + (1e-3 * Math.max(0, at - clock)) / Number(pace.value));
       clock = Math.max(at, clock);
-      if (frame === now.time.length - 1) start(false);
+      if (frame === now.time.length - 1 && !grows) start(false);
     }
     controls.update();
     renderer.render(scene, camera);
     requestAnimationFrame(tick);
   }
 
-  play.addEventListener("click", () => start(clock === null));
-  slider.addEventListener("input", () => { start(false); go(now.time[Number(slider.value)]); });
+  play.addEventListener("click", () => now && start(clock === null));
+  slider.addEventListener("input", () => { if (now) { start(false); go(now.time[Number(slider.value)]); } });
   chosen.addEventListener("change", () => { start(false); choose(Number(chosen.value)); });
-  document.getElementById("again").addEventListener("click", () => { controls.reset(); look(); });
+  document.getElementById("again").addEventListener("click", () => { if (now) { controls.reset(); look(); } });
   window.addEventListener("resize", resize);
   resize();
-  choose(0);
+  if (views.length) choose(0);
+  window.dropPlayer = { put, instants: () => (now ? now.time : []), world: () => ({ THREE, camera, now }) };
   const asked = /t=(-?[\d.]+)/.exec(location.hash);
-  if (asked) go(Number(asked[1]));
-  if (location.hash.includes("play")) start(true);
+  if (now && asked) go(Number(asked[1]));
+  if (now && location.hash.includes("play")) start(true);
   requestAnimationFrame(tick);
 })();
