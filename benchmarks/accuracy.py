@@ -272,7 +272,7 @@ def impact_points(kind, count, numbers, cadences):
     begin = starts(kind, count)
     true = exact(kind, begin)
     variants = {precision: (precision, {}) for precision in ("f32", "f64")}
-    variants |= {cadence: ("f32", {"rebuild_steps": cadence}) for cadence in cadences}
+    variants |= {cadence: ("f32", {"max_rebuild_interval": cadence}) for cadence in cadences}
     each = costs_of_a_step(kind, begin[0], variants)
     points = []
     for precision in ("f32", "f64"):
@@ -478,10 +478,10 @@ def variants(quick):
 
     step = assembly.assemble_system(load_scene("quick-release")).step.critical
     sphere = {"portion": {"shape": "sphere", "radius": SPHERE["radius"]}}
-    half = {"run": {"step": step / 2}}
+    half = {"run": {"time_step": step / 2}}
     rows = [
         ("default", "step, f32", {}),
-        ("twice the step", "step, f32", {"run": {"step": 2 * step}}),
+        ("twice the step", "step, f32", {"run": {"time_step": 2 * step}}),
         ("sphere of equal volume", "shape", sphere),
     ]
     if quick:
@@ -493,13 +493,13 @@ def variants(quick):
             {"run": half["run"] | {"precision": "f64"}},
         ),
         *rows,
-        ("four times the step", "step, f32", {"run": {"step": 4 * step}}),
+        ("four times the step", "step, f32", {"run": {"time_step": 4 * step}}),
         ("half the step", "step, f32", half),
         ("f64", "f64", {"run": {"precision": "f64"}}),
-        ("rebuilt every 10 steps", "rebuilds", {"run": {"rebuild_steps": 10}}),
-        ("rebuilt every 150 steps", "rebuilds", {"run": {"rebuild_steps": 150}}),
-        ("softening 0.03", "softening", {"material": {"softening": 0.03}}),
-        ("softening 0.001", "softening", {"material": {"softening": 0.001}}),
+        ("rebuilt every 10 steps", "rebuilds", {"run": {"max_rebuild_interval": 10}}),
+        ("rebuilt every 150 steps", "rebuilds", {"run": {"max_rebuild_interval": 150}}),
+        ("softening 0.03", "softening", {"material": {"numerical_softening": 0.03}}),
+        ("softening 0.001", "softening", {"material": {"numerical_softening": 0.001}}),
     ]
 
 
@@ -508,7 +508,8 @@ def drop_points(seeds, quick):
     from dem_jax import SceneError, SimulationError, load_scene
 
     base = load_scene("quick-release").replace(
-        portion={"settling_time": 0.3}, run={"duration": 0.45, "frames": 0.0, "energy": False}
+        portion={"settling_time": 0.3},
+        run={"duration": 0.45, "frame_interval": 0.0, "track_energy": False},
     )
     points, rows, reference = [], [], None
     for label, series, changes in variants(quick):

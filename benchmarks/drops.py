@@ -2,7 +2,7 @@
 ...]`.
 
 FILE: an ensemble, such as `python -m dem_jax ensemble quick-release --runs 64 --set
-run.duration=0.7 --set run.frames=0` makes. Writes out/benchmarks/drops.md;
+run.duration=0.7 --set run.frame_interval=0` makes. Writes out/benchmarks/drops.md;
 `benchmarks/results/calibration_dem.md` holds such rows and what they say.
 """
 

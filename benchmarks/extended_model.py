@@ -1,8 +1,8 @@
 """The extended Product Model judged by drops: `python -m benchmarks.extended_model NAME=FILE ...`.
 
 FILE: an ensemble, such as `python -m dem_jax ensemble weigh-bucket --runs 192 --seed 1 --set
-run.duration=0.42 --set run.frames=0
---set run.escape=note` makes. Two thirds of its runs are fitted, every third is kept out and judges.
+run.duration=0.42 --set run.frame_interval=0
+--set run.on_escape=warn` makes. Two thirds of its runs are fitted, every third is kept out and judges.
 Writes out/benchmarks/extended_model.md; `benchmarks/results/extended_model.md` holds such a table.
 """
 

@@ -129,16 +129,16 @@ def ours(landing: Landing) -> tuple[Trace, tuple[float, float]]:
             {"group": "floor" if n == 0 else "sides", "corners": c, "thickness": 0.02}
             for n, c in enumerate(corners)
         ],
-        block=[],
+        region=[],
         material={"density": DENSITY, "restitution": landing.restitution}
         | {"friction_wall": landing.friction, "friction_piece": landing.friction}
-        | {"separation": SEPARATION, "tangential_stiffness": TANGENTIAL},
+        | {"separation_slope_ratio": SEPARATION, "tangential_stiffness_ratio": TANGENTIAL},
         run={
             "precision": "f64",
-            "step": STEP,
-            "sample": EVERY * STEP,
+            "time_step": STEP,
+            "sample_interval": EVERY * STEP,
             "duration": landing.duration,
-            "frames": landing.duration,
+            "frame_interval": landing.duration,
         }
         | {"gravity": (0.0, 0.0, -GRAVITY), "domain_high": (1.0, 1.0, 1.0)},
     )

@@ -39,7 +39,7 @@ region_low = [0.0, 0.0, 0.0]
 region_high = [{size.max() + 0.2}, {size.max() + 0.2}, 1.0]
 [run]
 duration = 3e-5
-frames = 0.0
+frame_interval = 0.0
 precision = "{precision}"
 domain_low = {[float(-v) for v in size + 0.2]}
 domain_high = {[float(v) for v in size * 30 + 100]}

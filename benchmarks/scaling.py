@@ -137,7 +137,7 @@ def stock_drop(until_settled=False):
     """The scene of nine marshmallows, to the end."""
     import dem_jax
 
-    settings = {"run.duration": 0.4, "run.frames": 0.0, "run.until_settled": until_settled}
+    settings = {"run.duration": 0.4, "run.frame_interval": 0.0, "run.until_settled": until_settled}
     return dem_jax.load_scene("quick-release", settings)
 
 
@@ -168,7 +168,7 @@ def beside_row(which) -> dict:
         "portion.scale_factor": factor,
         "portion.settling_time": settling,
         "run.duration": duration,
-        "run.frames": 0.0,
+        "run.frame_interval": 0.0,
     }
     scene = dem_jax.load_scene("quick-release", settings)
     ways = {

@@ -121,7 +121,7 @@ def scene(product: Product, width, height, position, orientation, material, run)
         for row in open_box(0.5 * width, 0.5 * width, height)
     ]
     return load_scene("plate-drop").replace(
-        name="box", piece=pieces, wall=walls, block=[], material=material, run=run
+        name="box", piece=pieces, wall=walls, region=[], material=material, run=run
     )
 
 
@@ -131,7 +131,7 @@ def settled(product: Product, count: int):
     from dem_jax.assembly import assemble_system
     from dem_jax.runner.job_setup import prepare_job
 
-    loose = {"restitution": 0.5, "softening": SOFT}
+    loose = {"restitution": 0.5, "numerical_softening": SOFT}
     one = np.ones((len(product.pieces), 1))
     most, hull_table.MOST_DIRECTIONS = (
         hull_table.MOST_DIRECTIONS,
@@ -141,7 +141,7 @@ def settled(product: Product, count: int):
     system = assemble_system(probe, 0).system
     size = 2 * float(np.max(system.parts.bounding_radius))
     if size > SLENDER * float(np.min(system.pieces.width)):  # they fall far, and are thin
-        loose["softening"] = 10 * SOFT
+        loose["numerical_softening"] = 10 * SOFT
     columns = max(2, round(0.7 * count ** (1 / 3)))
     width = 1.03 * size * columns
     k = np.arange(count)

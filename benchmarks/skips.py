@@ -64,7 +64,9 @@ def heap(count, shape="chamfered-cuboid", run=None, **material):
         (count // columns**2 + 2) * size[2],
     )
     walls = [{"group": "box", "corners": corners, "thickness": 0.02} for corners in box]
-    return Scene(piece=pieces, wall=walls, material=material, run={"frames": 0.0} | (run or {}))
+    return Scene(
+        piece=pieces, wall=walls, material=material, run={"frame_interval": 0.0} | (run or {})
+    )
 
 
 def with_far_seam(scene):
@@ -105,7 +107,7 @@ def fall(height):
         {"group": "box", "corners": corners, "thickness": 0.02}
         for corners in open_box(0.1, 0.1, 0.3)
     ]
-    return Scene(piece=[{"position": (0.0, 0.0, height)}], wall=walls, run={"frames": 0.0})
+    return Scene(piece=[{"position": (0.0, 0.0, height)}], wall=walls, run={"frame_interval": 0.0})
 
 
 def moving(scene):
@@ -194,7 +196,7 @@ def skips(quick) -> list[Skip]:
     }
     without = lambda: heap(few, **smooth)
     smooth_balls = lambda: heap(few, "sphere", **smooth)
-    silent = lambda: heap(few, run={"energy": False})
+    silent = lambda: heap(few, run={"track_energy": False})
     damped = lambda: heap(few, unloading_damping=0.1)
     shaken = {"walls": lambda s: idly_moved(s.walls)}
     far_seam, own_seam = lambda: with_far_seam(heap(few)), lambda: with_seam(heap(few))
@@ -226,7 +228,7 @@ def skips(quick) -> list[Skip]:
     for count in sizes:
         best = candidate_search.choose_search("auto", count)
         for choice in SEARCHES:
-            other = lambda count=count, choice=choice: heap(count, run={"neighbours": choice})
+            other = lambda count=count, choice=choice: heap(count, run={"broad_phase": choice})
             if choice != best:
                 own = lambda count=count: heap(count)
                 rows.append(

@@ -33,8 +33,8 @@ def packed(count: int):
     # Stiffness sets the size of the step, not its cost: softer pieces settle in fewer steps.
     scene = load_scene("quick-release").replace(
         portion={"count": count, "scale_factor": factor, "settling_time": SETTLE},
-        material={"softening": 0.001},
-        run={"duration": 3e-5, "frames": 0.0},
+        material={"numerical_softening": 0.001},
+        run={"duration": 3e-5, "frame_interval": 0.0},
     )
     job = prepare_job(scene, (0,), None)
     *_, last = iterate_chunks(job, Progress(job, False))

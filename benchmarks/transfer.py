@@ -89,7 +89,12 @@ def scene_of(settings):
     scene = load_scene("weigh-bucket", settings)
     fall = np.sqrt(2 * scene.drop.height / 9.81)
     opening, rebounds = 0.4 * scene.feed_bucket.opening_time, 0.25 * scene.material.restitution
-    fixed = {"run.frames": 0.0, "run.sample": SAMPLE, "run.energy": False, "run.escape": "note"}
+    fixed = {
+        "run.frame_interval": 0.0,
+        "run.sample_interval": SAMPLE,
+        "run.track_energy": False,
+        "run.on_escape": "warn",
+    }
     return scene.replace({"run.duration": round(opening + fall + 0.11 + rebounds, 3), **fixed})
 
 

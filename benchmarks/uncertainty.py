@@ -28,7 +28,7 @@ POINTS, SEEDS = 32, 2  # of the numbers; drops at each
 TARGET = 0.05  # kg
 SETTINGS = {
     "portion.target_weight": TARGET,
-    "run.energy": False,
+    "run.track_energy": False,
     "run.duration": 2.5,
     "run.until_settled": True,
 }

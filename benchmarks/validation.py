@@ -73,7 +73,7 @@ def drops(seeds: int) -> tuple[str, bool]:
     found = {}
     for precision, first in (("f32", 0), ("f64", 0), ("f64, other seeds", seeds)):
         scene = load_scene("quick-release").replace(
-            {"run.precision": precision[:3], "run.frames": 0.0, "run.energy": False}
+            {"run.precision": precision[:3], "run.frame_interval": 0.0, "run.track_energy": False}
         )
         runs = ensemble(scene, seeds, seed=first)
         members = [runs.member(k) for k in range(seeds)]

@@ -102,7 +102,7 @@ def simulate(product: str, plan: Plan, is_judge: bool, folder: Path) -> Path:
             "mass": CELL.mass,
         }
         settings = [f"weigh_bucket.load_cell.{key}={value:g}" for key, value in cell.items()]
-        settings += [f"product={product}", "run.escape=note"]
+        settings += [f"product={product}", "run.on_escape=warn"]
         changes = [word for setting in settings for word in ("--set", setting)]
         runs = ["--runs", str(plan.runs[is_judge]), "--seed", str(plan.seeds[is_judge])]
         thin = ["--record-rate", f"{RATE:g}", "--duration", f"{DURATION:g}", "--no-plot"]

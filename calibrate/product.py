@@ -227,7 +227,11 @@ def load_product_scene(request: ProductRequest) -> "Scene":
     from dem_jax.scene import load_scene
 
     settings = dict(request.settings or {})
-    changes: dict[str, Any] = {"run.frames": 0.0, "run.sample": SAMPLE, "run.energy": False}
+    changes: dict[str, Any] = {
+        "run.frame_interval": 0.0,
+        "run.sample_interval": SAMPLE,
+        "run.track_energy": False,
+    }
     base = request.scene or BASE_SCENE
     if _is_scene(request.product):
         if request.scene is not None:
@@ -396,7 +400,7 @@ def simulate_drops(
     path = files.ensemble
     held = path.exists() and find_difference(path, scene, request) is None
     before = _recorded_time(path) if held else 0.0
-    if held and before >= scene.run.duration - 1.5 * scene.run.sample:
+    if held and before >= scene.run.duration - 1.5 * scene.run.sample_interval:
         return [f"drops: {path} holds them already; reused, not computed anew"]
 
     def save() -> str | None:

@@ -6,7 +6,8 @@ names. Both end with the release after this one.
 
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -32,13 +33,36 @@ MOVED = {  # former module -> module, former name -> name
 LAW_METHODS = {"pair": "pair_parameters", "start": "init_history", "reach": "interaction_range"}
 
 
-def warn_of_name(former: str, name: str) -> None:
-    """One line that a former name is readable for one release."""
+class FormerNameWarning(DeprecationWarning):
+    """A name of the release before this one is used."""
+
+
+def warn_of_name(former: str, name: str, hint: str = "") -> None:
+    """Warn in one line that a former name ends with the next release; hint: ends the line."""
     warnings.warn(
-        f"{former} is now {name}; the former name ends with the next release",
-        DeprecationWarning,
+        f"{former} is now {name}; the former name ends with the next release{hint}",
+        FormerNameWarning,
         stacklevel=3,
     )
+
+
+@contextmanager
+def print_notes() -> Iterator[None]:
+    """Print each warning of a former name once, as a note on stderr."""
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+        seen: set[str] = set()
+
+        def show_note(message: Any, category: Any, *rest: Any, **more: Any) -> None:
+            if not issubclass(category, FormerNameWarning):
+                show(message, category, *rest, **more)
+            elif str(message) not in seen:
+                seen.add(str(message))
+                print(f"note: {message}", file=sys.stderr)
+
+        warnings.simplefilter("always", FormerNameWarning)
+        warnings.showwarning = show_note
+        yield
 
 
 class _FormerModule(ModuleType):

@@ -75,7 +75,7 @@ def scene_conditions(scene: "Scene") -> tuple[DropConditions, list[str]]:
         m_piece=float(masses.mean()),
         pieces=len(masses),
         density=float(masses.sum() / volumes.sum()),
-        modulus=mean(np.asarray(table.youngs_modulus)[rows]) * scene.material.softening,
+        modulus=mean(np.asarray(table.youngs_modulus)[rows]) * scene.material.numerical_softening,
         restitution=mean(np.asarray(table.restitution)[rows, wall]),
         friction_wall=mean(np.asarray(table.friction)[rows, wall]),
         friction_piece=mean(np.diag(np.asarray(table.friction))[rows]),

@@ -121,7 +121,7 @@ def originals(folder: Path) -> None:
 
     ball = {"shape": "sphere", "radius": 0.01, "position": (0.0, 0.0, 0.0105)}
     scene = dem_jax.load_scene("plate-drop").replace(
-        piece=[ball], run={"duration": 0.006, "frames": 0.002}
+        piece=[ball], run={"duration": 0.006, "frame_interval": 0.002}
     )
     dem_jax.simulate(scene, out=folder / "run.h5")
     dem_jax.ensemble(

@@ -27,7 +27,7 @@ DROP = [
     "--set",
     "portion.count=4",
 ]
-DROP += ["--set", "portion.settling_time=0.05", "--set", "run.frames=0.002"]
+DROP += ["--set", "portion.settling_time=0.05", "--set", "run.frame_interval=0.002"]
 QUIET = ["--quiet"]
 COMMANDS = {
     "run": ["run", *DROP, "--set", "run.duration=1.0", "--no-plot", *QUIET],

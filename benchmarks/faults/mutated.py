@@ -219,7 +219,7 @@ fb = { opens = [0.08, 0.16], closes = [0.26, 0.35] }
 lf = [0.35, 1.05]
 [run]
 duration = 3.9
-escape = "note"
+on_escape = "warn"
 """
 
 
@@ -275,7 +275,7 @@ def _wall(path: Path, _: str) -> str | None:
     wall = [{"group": "plate", "stl": path.name, "unit": 1e-3}]
     scene = (
         dem_jax.load_scene("plate-drop")
-        .replace(wall=wall, block=[])
+        .replace(wall=wall, region=[])
         .model_copy(update={"folder": str(path.parent)})
     )
     panels = [row.corners for row in system.inline_files(scene).wall]

@@ -67,7 +67,7 @@ def scene(shape, width, height, position, orientation, material, run):
         for row in open_box(0.5 * width, 0.5 * width, height)
     ]
     return load_scene("plate-drop").replace(
-        name="box", piece=pieces, wall=walls, block=[], material=material, run=run
+        name="box", piece=pieces, wall=walls, region=[], material=material, run=run
     )
 
 
@@ -105,7 +105,7 @@ def settled(shape, count) -> Path:
         height,
         position,
         orientation,
-        {"restitution": 0.5, "softening": 0.03},
+        {"restitution": 0.5, "numerical_softening": 0.03},
         settings,
     )
     last = simulate(loose).pieces

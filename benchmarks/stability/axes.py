@@ -20,7 +20,7 @@ MARSHMALLOW = {"shape": "chamfered-cuboid"}
 SPHERE = {"shape": "sphere", "radius": 0.01}
 CUBE = {"shape": "cuboid", "size": (0.02, 0.02, 0.02)}
 TILTED = tuple(Rotation.from_euler("xyz", (0.3, 0.5, 0.2)).as_quat(scalar_first=True).tolist())
-SHORT = {"run.duration": 0.05, "run.sample": 1e-4, "run.frames": 0.0}
+SHORT = {"run.duration": 0.05, "run.sample_interval": 1e-4, "run.frame_interval": 0.0}
 FLAT = ((-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0))
 
 
@@ -78,8 +78,8 @@ def time_steps(_: bool) -> Iterator[Trial]:
         scene = landing(piece, material__restitution=1.0, run__precision="f64")
         limit = prepare_job(scene, (0,), None).built.step.linear_limit
         step = {
-            "run.step": part * limit,
-            "run.sample": part * limit,
+            "run.time_step": part * limit,
+            "run.sample_interval": part * limit,
             "run.allow_unstable_step": True,
         }
         return scene.replace(step | {"run.duration": 0.03})
@@ -107,7 +107,7 @@ def materials(_: bool) -> Iterator[Trial]:
         more = {"run__duration": 0.02} if softening == 1 else {}
         if softening < 1e-3:
             more = {"speed": 0.15}  # so soft a piece would be pressed flat
-        values = {"material__restitution": epsilon, "material__softening": softening}
+        values = {"material__restitution": epsilon, "material__numerical_softening": softening}
         yield trial(f"epsilon {epsilon:g}, softening {softening:g}", **values, **more)
     for ratio in (1e-2, 1.0, 1e3, 1e6):
         yield trial(
@@ -144,12 +144,16 @@ def speeds(_: bool) -> Iterator[Trial]:
     for speed in (1e-6, 1e-4, 1e-2, 1.0, 10.0):
         still = {"run__gravity": (0.0, 0.0, 0.0)} if speed < 0.1 else {}
         yield trial(f"{speed:g} m/s", speed=speed, spin=0.0, run__precision="f64", **still)
-    yield trial("10 m/s, softening 1", speed=10.0, material__softening=1.0, run__duration=0.01)
-    yield trial("50 m/s, softening 1", speed=50.0, material__softening=1.0, run__duration=0.005)
+    yield trial(
+        "10 m/s, softening 1", speed=10.0, material__numerical_softening=1.0, run__duration=0.01
+    )
+    yield trial(
+        "50 m/s, softening 1", speed=50.0, material__numerical_softening=1.0, run__duration=0.005
+    )
     yield trial("50 m/s: deeper than a piece is thick", speed=50.0, refused=True)
     for spin in (100.0, 1e3, 1e4):
         stiff = {
-            "material__softening": 1.0,
+            "material__numerical_softening": 1.0,
             "run__duration": 0.01,
             "run__domain_high": (2.0, 2.0, 2.0),
         }
@@ -170,8 +174,8 @@ def durations(quick: bool) -> Iterator[Trial]:
         duration = 6e-6 * steps
         run = {
             "run__duration": duration,
-            "run__sample": 6e-3,
-            "run__frames": duration / 20,
+            "run__sample_interval": 6e-3,
+            "run__frame_interval": duration / 20,
             "run__precision": precision,
         }
         yield trial(
@@ -195,7 +199,7 @@ def places(_: bool) -> Iterator[Trial]:
         row = scene.piece[0].model_dump(exclude_none=True) | {
             "position": (x + way, y + way, z + way)
         }
-        return scene.replace(piece=[row], wall=walls, block=[])
+        return scene.replace(piece=[row], wall=walls, region=[])
 
     def peak(run: Run) -> dict[str, float]:
         return {"peak (N)": float(-run.force["plate"][:, 2].min())}
@@ -232,7 +236,7 @@ def touches(_: bool) -> Iterator[Trial]:
         made = [
             {"group": f"w{k}", "corners": row, "thickness": thickness} for k, row in enumerate(rows)
         ]
-        return pieces([piece]).replace(wall=made, block=[])
+        return pieces([piece]).replace(wall=made, region=[])
 
     halves = [[(-0.5, -0.5, 0.0), (0.0, -0.5, 0.0), (0.0, 0.5, 0.0), (-0.5, 0.5, 0.0)]]
     halves += [[(0.0, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (0.0, 0.5, 0.0)]]
@@ -283,8 +287,8 @@ def motions(_: bool) -> Iterator[Trial]:
         "portion.count": 3,
         "portion.settling_time": 0.08,
         "run.duration": 0.25,
-        "run.frames": 0.0,
-        "run.sample": 1e-4,
+        "run.frame_interval": 0.0,
+        "run.sample_interval": 1e-4,
     }
 
     def bucket(**changes: Any) -> Scene:
@@ -300,9 +304,9 @@ def motions(_: bool) -> Iterator[Trial]:
             feed_bucket__opening_time=opening,
         )
 
-    early = {"opening_time": 0.06, "open_dwell": 0.03, "closing_time": 0.06}  # they close on what
+    early = {"opening_time": 0.06, "hold_time": 0.03, "closing_time": 0.06}  # they close on what
     # has not fallen through yet
-    caught = {"portion__count": 9, "run__duration": 0.4, "run__escape": "note"}
+    caught = {"portion__count": 9, "run__duration": 0.4, "run__on_escape": "warn"}
     caught |= {f"feed_bucket__{key}": value for key, value in early.items()}
     for torque in (0.1, 1.0):
         yield trial(
@@ -339,7 +343,7 @@ def motions(_: bool) -> Iterator[Trial]:
             "group": "plate",
             "stroke": (0.0, 0.0, 2e-4),
             "frequency": 200.0,
-            "shake_ramp": 0.02,
+            "vibration_ramp": 0.02,
         }
         return scene.replace(motion=[motion])
 
@@ -352,11 +356,14 @@ def ensembles(quick: bool) -> Iterator[Trial]:
         "portion.count": 3,
         "portion.settling_time": 0.08,
         "run.duration": 0.2,
-        "run.frames": 0.0,
-        "run.sample": 1e-4,
+        "run.frame_interval": 0.0,
+        "run.sample_interval": 1e-4,
     }
     for epsilon, softening in ((0.1, 1e-2), (1.0, 1e-2), (0.05, 1e-3)):
-        changes = portion | {"material.restitution": epsilon, "material.softening": softening}
+        changes = portion | {
+            "material.restitution": epsilon,
+            "material.numerical_softening": softening,
+        }
         yield Trial(
             f"{4 if quick else 16} drops, epsilon {epsilon:g}, softening {softening:g}",
             lambda c=changes: load_scene("quick-release", c),

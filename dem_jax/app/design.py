@@ -171,7 +171,7 @@ MATERIAL_FIELDS = (
         0.01,
     ),
     FieldText(
-        "material.softening",
+        "material.numerical_softening",
         "Softening NSF",
         "",
         1.0,

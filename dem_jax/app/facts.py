@@ -268,7 +268,7 @@ def describe_scene(text: str, folder: str) -> SceneFacts:
     end = (
         scene.feed_bucket.opening_start
         + scene.feed_bucket.opening_time
-        + scene.feed_bucket.open_dwell
+        + scene.feed_bucket.hold_time
     )
     times = np.linspace(0.0, end + scene.feed_bucket.closing_time, INSTANTS)
     view = {"view": view_walls(read, times, level), "more": False, "span": 0.0}
@@ -476,7 +476,7 @@ def write_view(path: str, member: int, grows: bool) -> str:
         if grows:
             return ""
         raise RecordError(
-            f"{Path(path).name}: no poses were stored; allowed: a run with run.frames above 0"
+            f"{Path(path).name}: no poses were stored; allowed: a run with run.frame_interval above 0"
         )
     span = parse_scene(run.scene, path).run.duration if grows else 0.0
     return json.dumps({"view": view, "more": grows, "span": span})

@@ -17,7 +17,7 @@ from dem_jax.assembly.initial_conditions import InitialConditions
 from dem_jax.assembly.piece_arrays import PieceSet, build_piece_arrays, material_inputs
 from dem_jax.assembly.wall_panels import build_motion_arrays
 from dem_jax.contact_laws import ContactLaw
-from dem_jax.scene import Block, Motion, Scene, bucket_geometry
+from dem_jax.scene import Motion, Region, Scene, bucket_geometry
 from dem_jax.scene.array_namespace import as_float_array, is_zero
 from dem_jax.scene.material_properties import MaterialTable, build_material_table
 from dem_jax.types import Materials, Pieces, Walls
@@ -31,7 +31,7 @@ class Layout:
 
     goods: PieceSet
     walls: Walls  # without motions, load cell and drives, in the precision of the run
-    blocks: tuple[Block, ...]
+    blocks: tuple[Region, ...]
     drop_height: float  # (m) at which walls and blocks are placed
     law: ContactLaw | None  # instead of the scene's
 

@@ -27,7 +27,9 @@ def build_contact_law(scene: Scene, materials: Materials | None = None) -> Conta
     law, materials = LAWS[scene.contact.law](scene), materials or build_materials(scene)
     if materials.pull_off is not None:
         cohesion = scene.contact.cohesion
-        law = Cohesive(law, _host_number(cohesion.stiffness), _host_number(cohesion.range))
+        law = Cohesive(
+            law, _host_number(cohesion.stiffness), _host_number(cohesion.interaction_range)
+        )
     return law if materials.rolling is None else Rolling(law)
 
 
@@ -36,7 +38,10 @@ def _build_walton_braun(scene: Scene) -> ContactLaw:
     damping = None if is_zero(m.unloading_damping) else _host_number(m.unloading_damping)
     at_rest = None if is_zero(m.rest_damping) else _host_number(m.rest_damping)
     return WaltonBraun(
-        _host_number(m.separation), _host_number(m.tangential_stiffness), damping, at_rest
+        _host_number(m.separation_slope_ratio),
+        _host_number(m.tangential_stiffness_ratio),
+        damping,
+        at_rest,
     )
 
 
@@ -47,18 +52,18 @@ def _host_number(value: float) -> Array:
 LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
     "walton-braun": _build_walton_braun,
     "linear-dashpot": lambda scene: LinearDashpot(
-        _host_number(scene.material.tangential_stiffness)
+        _host_number(scene.material.tangential_stiffness_ratio)
     ),
-    "hertz-mindlin": lambda scene: HertzMindlin(_host_number(scene.contact.impact_speed)),
+    "hertz-mindlin": lambda scene: HertzMindlin(_host_number(scene.contact.max_impact_speed)),
     "densifying": lambda scene: Densifying(
         _host_number(scene.contact.densification),
-        _host_number(scene.material.tangential_stiffness),
-        _host_number(scene.contact.impact_speed),
+        _host_number(scene.material.tangential_stiffness_ratio),
+        _host_number(scene.contact.max_impact_speed),
     ),
     "elastic-plastic": lambda scene: ElasticPlastic(
         _host_number(scene.contact.yield_pressure),
-        _host_number(scene.material.tangential_stiffness),
-        _host_number(scene.contact.impact_speed),
+        _host_number(scene.material.tangential_stiffness_ratio),
+        _host_number(scene.contact.max_impact_speed),
     ),
 }
 
@@ -80,7 +85,7 @@ def build_materials(
     table = table or build_material_table(scene)
     pairs: dict[str, Any] = {name: _pairs(table, name, form) for name in PAIR_PROPERTIES}
     return Materials(
-        youngs_modulus=as_array(scene.material.softening * table.youngs_modulus),
+        youngs_modulus=as_array(scene.material.numerical_softening * table.youngs_modulus),
         poisson_ratio=as_array(table.poisson_ratio),
         is_wall=tuple(table.is_wall.tolist()),
         **pairs,

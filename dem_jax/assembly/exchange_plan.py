@@ -70,11 +70,11 @@ def plan_exchange(
     below = None
     if outlet is not None:
         below = (
-            outlet.below
-            if outlet.below is not None
+            outlet.z_max
+            if outlet.z_max is not None
             else float(_collect_corners(panels, regions)[:, 2].min()) - 2 * radius
         )
-    every = min(section.every for section in (inlet, outlet) if section is not None)
+    every = min(section.interval for section in (inlet, outlet) if section is not None)
     return ExchangePlan(every, _find_inlet_box(scene, regions, radius), below, lot)
 
 
@@ -92,8 +92,8 @@ def _find_inlet_box(scene: Scene, regions: Sequence[Box], radius: float) -> Corn
     inlet = scene.inlet
     if inlet is None:
         return None
-    if inlet.low is not None and inlet.high is not None:
-        low, high = np.array(inlet.low), np.array(inlet.high)
+    if inlet.box_low is not None and inlet.box_high is not None:
+        low, high = np.array(inlet.box_low), np.array(inlet.box_high)
     else:
         low, high = (np.array(corner) for corner in regions[-1])  # of the feeder, or of the feed
         # bucket
@@ -104,7 +104,7 @@ def _find_inlet_box(scene: Scene, regions: Sequence[Box], radius: float) -> Corn
     for axis, name in enumerate("xyz"):
         if high[axis] - low[axis] < 2 * radius:
             raise SceneError(
-                f"inlet.low, inlet.high: a box of {high[axis] - low[axis]:.4g} m along {name}; allowed: at least "
+                f"inlet.box_low, inlet.box_high: a box of {high[axis] - low[axis]:.4g} m along {name}; allowed: at least "
                 f"{2 * radius:.4g} m, the bounding diameter of a piece"
             )
     return low, high

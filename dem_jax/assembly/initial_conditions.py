@@ -102,7 +102,7 @@ def count_settling_samples(scene: Scene) -> int:
     """Number of sample intervals before time zero."""
     if scene.piece or scene.portion is None or scene.portion.arrangement == "scattered":
         return 0
-    return max(1, round(scene.portion.settling_time / scene.run.sample))
+    return max(1, round(scene.portion.settling_time / scene.run.sample_interval))
 
 
 def build_initial_motion(

@@ -124,7 +124,7 @@ def _make_hull(row: ConvexShape, folder: str | Path) -> shapes.MeshHull:
     else:
         mass = _given_mass_properties(row.mass_properties) if isinstance(row, PieceShape) else None
         found = shapes.MeshHull(*shapes.hull_and_centre(np.array(row.points) * row.unit), mass, ())
-    most = row.max_corners or shapes.MOST_CORNERS
+    most = row.max_vertices or shapes.MOST_CORNERS
     if len(found.shape.vertices) <= most:
         return found
     fewer = shapes.simplify_hull(found.shape.vertices + found.centre, most)
@@ -152,7 +152,9 @@ def _compound_from_row(row: PieceShape, folder: str | Path) -> shapes.Shape:
             )
         )
     return shapes.make_compound(
-        placed, _given_mass_properties(row.mass_properties), row.joint_tolerance or shapes.TOLERANCE
+        placed,
+        _given_mass_properties(row.mass_properties),
+        row.coplanarity_tolerance or shapes.TOLERANCE,
     )
 
 
@@ -160,7 +162,7 @@ def _decomposition_options(row: PieceShape) -> dict[str, Any]:
     """Options of a row for the decomposition of its STL."""
     return {
         k: getattr(row, k)
-        for k in ("concavity", "max_parts", "loss", "max_corners")
+        for k in ("concavity", "max_parts", "max_volume_loss", "max_vertices")
         if getattr(row, k) is not None
     }
 
@@ -226,7 +228,7 @@ def material_inputs(scene: Scene, table: MaterialTable) -> tuple[Any, ...]:
         tuple(table.density.tolist()),
         table.names,
         table.is_wall.tolist(),
-        scene.material.stiffness_size,
+        scene.material.stiffness_length,
     )
 
 
@@ -323,7 +325,7 @@ def count_portion_pieces(
     else:
         held = (placement.count_pieces(of.target_weight, float(mass[0])),)
     more = [scene.feeder.count] if scene.feeder else []
-    more += [scene.inlet.waiting] if scene.inlet else []
+    more += [scene.inlet.reservoir] if scene.inlet else []
     return [
         held,
         *(
@@ -373,7 +375,12 @@ def inline_shape_points(row: PieceShape, folder: str | Path) -> PieceShape:
     found = _make_hull(row, folder)
     if row.stl is None and not found.notes:
         return row
-    points: dict[str, Any] = {"stl": None, "unit": 1.0, "max_corners": None, "hull_tolerance": None}
+    points: dict[str, Any] = {
+        "stl": None,
+        "unit": 1.0,
+        "max_vertices": None,
+        "hull_tolerance": None,
+    }
     points |= {
         "points": to_point_tuples(found.shape.vertices.tolist()),
         "mass_properties": _mass_section(found.mass, found.centre),
@@ -414,7 +421,7 @@ def _inline_part_points(part: Part, folder: str | Path) -> tuple[Part, str | Non
         "stl": None,
         "unit": 1.0,
         "scale_factor": 1.0,
-        "max_corners": None,
+        "max_vertices": None,
         "hull_tolerance": None,
         "points": points,
     }
@@ -426,7 +433,7 @@ def _decomposed_row(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
     becomes a hull.
     """
     whole: dict[str, Any] = dict.fromkeys(
-        ("stl", "concavity", "max_parts", "loss", "max_corners")
+        ("stl", "concavity", "max_parts", "max_volume_loss", "max_vertices")
     ) | {"unit": 1.0}
     whole |= _append_note(row, [f"{row.stl}: {'; '.join((*found.notes, str(found)))}"])
     points = [to_point_tuples(part.tolist()) for part in found.points]
@@ -436,14 +443,14 @@ def _decomposed_row(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
         own = {"shape": "hull", "points": points[0], "mass_properties": mass if differs else None}
         return inline_shape_points(row.model_copy(update=whole | own), ".")
     whole_parts = max(16, *map(len, points))  # simplified parts would not be flush at the cuts
-    parts = tuple(Part(shape="hull", points=each, max_corners=whole_parts) for each in points)
+    parts = tuple(Part(shape="hull", points=each, max_vertices=whole_parts) for each in points)
     return row.model_copy(
         update=whole
         | {
             "shape": "compound",
             "part": parts,
             "mass_properties": mass,
-            "joint_tolerance": shapes.JOINT_TOLERANCE,
+            "coplanarity_tolerance": shapes.JOINT_TOLERANCE,
         }
     )
 
@@ -460,7 +467,7 @@ def build_piece_arrays(scene: Scene, goods: PieceSet, table: MaterialTable | Non
     return Pieces(
         mass=as_array(mass),
         inertia=as_array(mass[None] * each(lambda s: s.gyration).T),
-        size=as_array(each(lambda s: shapes.size_length(s, scene.material.stiffness_size))),
+        size=as_array(each(lambda s: shapes.size_length(s, scene.material.stiffness_length))),
         curvature=as_array(2 / each(shapes.SIZE_LENGTHS["equivalent-diameter"])),
         material=as_array(row),
         bounding_radius=as_array(each(lambda s: s.bounding_radius)),
@@ -473,7 +480,7 @@ def find_piece_size(scene: Scene, law: str) -> float:
     SceneError.
     """
     # as in ``Pieces``
-    convention = "equivalent-diameter" if law in HERTZIAN_LAWS else scene.material.stiffness_size
+    convention = "equivalent-diameter" if law in HERTZIAN_LAWS else scene.material.stiffness_length
     return shapes.size_length(build_piece_set(scene).shapes[0], convention)
 
 

@@ -11,7 +11,7 @@ from dem_jax.contact_laws import ContactLaw
 from dem_jax.scene.sections.run_settings import RunSettings
 
 ROUNDED = 0.01  # of run.duration: a smaller difference is not mentioned
-ROUNDED_FRAMES = 0.1  # the same for run.frames (the default, 1 ms, is 33 samples of 30 us)
+ROUNDED_FRAMES = 0.1  # the same for run.frame_interval (the default, 1 ms, is 33 samples of 30 us)
 FEWEST_SAMPLES = 3  # samples in a contact: the largest of three evenly spaced values of a half sine
 # is within 1 - sin(pi / 3) = 13 % of its peak
 
@@ -35,8 +35,9 @@ def note_coarse_sampling(sample: float, shortest: float) -> str | None:
     if shortest >= FEWEST_SAMPLES * sample:
         return None
     return (
-        f"run.sample = {sample:.3g} s: the shortest contacts last {shortest:.2g} s, less than {FEWEST_SAMPLES} samples, whose peaks can be "
-        f"too low; peak_force has those of every step, and run.sample = {shortest / FEWEST_SAMPLES:.2g} or less would show them"
+        f"run.sample_interval = {sample:.3g} s: the shortest contacts last {shortest:.2g} s, less than "
+        f"{FEWEST_SAMPLES} samples, whose peaks can be too low; peak_force has those of every step, "
+        f"and run.sample_interval = {shortest / FEWEST_SAMPLES:.2g} or less would show them"
     )
 
 
@@ -50,28 +51,28 @@ def note_rounded_times(run: RunSettings, samples: int, frame_every: int) -> list
         frame_every: samples between stored poses; 0: none.
     """
     found = []
-    if abs(samples * run.sample / run.duration - 1) > ROUNDED:
+    if abs(samples * run.sample_interval / run.duration - 1) > ROUNDED:
         found.append(
-            f"run.duration = {run.duration:g} s is no multiple of run.sample = {run.sample:g} s: the run has {samples} samples and "
-            f"ends at {samples * run.sample:.6g} s"
+            f"run.duration = {run.duration:g} s is no multiple of run.sample_interval = {run.sample_interval:g} s: "
+            f"the run has {samples} samples and ends at {samples * run.sample_interval:.6g} s"
         )
-    frames_asked = run.frames != RunSettings.model_fields["frames"].default
-    if frames_asked and run.frames > run.duration * (1 + ROUNDED):
+    frames_asked = run.frame_interval != RunSettings.model_fields["frame_interval"].default
+    if frames_asked and run.frame_interval > run.duration * (1 + ROUNDED):
         found.append(
-            f"run.frames = {run.frames:g} s is longer than run.duration = {run.duration:g} s: only the first pose is stored"
+            f"run.frame_interval = {run.frame_interval:g} s is longer than run.duration = {run.duration:g} s: only the first pose is stored"
         )
     elif (
         frames_asked
         and frame_every
-        and abs(frame_every * run.sample / run.frames - 1) > ROUNDED_FRAMES
+        and abs(frame_every * run.sample_interval / run.frame_interval - 1) > ROUNDED_FRAMES
     ):
         found.append(
-            f"run.frames = {run.frames:g} s is no multiple of run.sample = {run.sample:g} s: poses are stored every "
-            f"{frame_every * run.sample:.4g} s"
+            f"run.frame_interval = {run.frame_interval:g} s is no multiple of run.sample_interval = {run.sample_interval:g} s: "
+            f"poses are stored every {frame_every * run.sample_interval:.4g} s"
         )
-    if run.step != "auto" and run.step > run.sample * (1 + ROUNDED):
+    if run.time_step != "auto" and run.time_step > run.sample_interval * (1 + ROUNDED):
         found.append(
-            f"run.step = {run.step:g} s is longer than run.sample = {run.sample:g} s: no step is longer than a sample, "
-            f"steps are of {run.sample:g} s"
+            f"run.time_step = {run.time_step:g} s is longer than run.sample_interval = {run.sample_interval:g} s: "
+            f"no step is longer than a sample, steps are of {run.sample_interval:g} s"
         )
     return found

@@ -17,15 +17,15 @@ def build_collision_bins(scene: Scene, panels: int, dtype: DTypeLike) -> Collisi
     asked = scene.statistics
     if asked is None:
         return None
-    if not 0 < panels * asked.cells**2 <= MOST_PLACES:
+    if not 0 < panels * asked.map_resolution**2 <= MOST_PLACES:
         most = int((MOST_PLACES / max(1, panels)) ** 0.5)
         allowed = f"at most {most}" if panels else "no [statistics] in a scene without walls"
         raise SceneError(
-            f"statistics.cells = {asked.cells}: of {panels} panels; allowed: {allowed}"
+            f"statistics.map_resolution = {asked.map_resolution}: of {panels} panels; allowed: {allowed}"
         )
     return CollisionBins(
-        cast_array(asked.slowest, dtype),
-        cast_array(asked.fastest, dtype),
-        asked.speeds,
-        asked.cells,
+        cast_array(asked.min_speed, dtype),
+        cast_array(asked.max_speed, dtype),
+        asked.speed_bins,
+        asked.map_resolution,
     )

@@ -135,7 +135,7 @@ def assemble_system(
     of_walls = (
         scene.wall,
         scene.motion,
-        scene.block,
+        scene.region,
         *(getattr(scene, name) for name in WALL_SECTIONS),
         scene.folder,
     )
@@ -203,16 +203,16 @@ def assemble_system(
             parts.owner is not None,
         ),
         touching=estimate_contacts_per_piece(parts, len(panels), is_general),
-        neighbours=scene.run.neighbours,
-        row_capacity=estimate_row_capacity(convex, scene.run.neighbours),
-        partition=estimate_partition(convex, scene.run.neighbours, domain),
+        neighbours=scene.run.broad_phase,
+        row_capacity=estimate_row_capacity(convex, scene.run.broad_phase),
+        partition=estimate_partition(convex, scene.run.broad_phase, domain),
         has_hulls=has_hulls,
         alike=find_alike_kinds(goods),
         present=None if room is None else kept("present", np.arange(len(made)) < len(own), bool),
-        escape_stops=scene.run.escape == "stop",
+        escape_stops=scene.run.on_escape == "stop",
         has_rotation=has_hulls or _turns(arrays),
         may_tie=len(scene.piece) > 1,
-        ledger=scene.run.energy,
+        ledger=scene.run.track_energy,
         statistics=build_collision_bins(scene, len(panels), dtype),
         sample_parts=step.parts,
         block_steps=block_steps(scene),
@@ -276,11 +276,11 @@ def _find_run_lengths(scene: Scene, step: TimeStep) -> tuple[int, int, int]:
     Raises SceneError.
     """
     settling = count_settling_samples(scene) * step.substeps
-    samples = max(1, round(scene.run.duration / scene.run.sample))
+    samples = max(1, round(scene.run.duration / scene.run.sample_interval))
     check_steps(scene, settling, samples, step.substeps, step.dt)
     frame_every = (
-        min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS)
-        if scene.run.frames
+        min(max(1, round(scene.run.frame_interval / scene.run.sample_interval)), MOST_STEPS)
+        if scene.run.frame_interval
         else 0
     )
     return settling, samples, frame_every

@@ -148,7 +148,7 @@ def choose_step(
     Raises:
         SceneError: no step is possible, or the requested step is not allowed.
     """
-    sample = scene.run.sample
+    sample = scene.run.sample_interval
     linear = min(float(np.min(_linear_limit(law, c))) for c in contacts) / np.sqrt(together)
     swings = np.sqrt(1 + 0.25 * added * linear**2)
     linear = linear / swings
@@ -159,9 +159,9 @@ def choose_step(
         else _default_step(law, contacts)
     )
     most = stable if scene.run.accuracy else min(AUTOMATIC_SHARE * linear, stable)
-    if scene.run.step == "auto" and critical > most:
+    if scene.run.time_step == "auto" and critical > most:
         critical, limit = most, f"{most / linear:.2g} of the linear stability limit"
-    wanted = critical if scene.run.step == "auto" else scene.run.step
+    wanted = critical if scene.run.time_step == "auto" else scene.run.time_step
     if not (0 < critical < np.inf and 0 < stable):
         raise SceneError(
             f"{scene.name}: no time step for {limit}; furthest from what is usual is {most_unusual_key(scene)}"
@@ -189,11 +189,11 @@ def _check_step(scene: Scene, wanted: float, stable: float, linear: float) -> No
     """
     if wanted > linear * (1 + 1e-9):
         raise SceneError(
-            f"run.step = {wanted:g}: allowed: at most {linear:.4g} s, the linear stability limit"
+            f"run.time_step = {wanted:g}: allowed: at most {linear:.4g} s, the linear stability limit"
         )
     if wanted > stable * (1 + 1e-9) and not scene.run.allow_unstable_step:
         raise SceneError(
-            f"run.step = {wanted:g}: allowed: at most {stable:.4g} s, up to which no impact gains more than "
+            f"run.time_step = {wanted:g}: allowed: at most {stable:.4g} s, up to which no impact gains more than "
             f"{100 * LARGEST_GAIN:g} % of its energy; with run.allow_unstable_step = true up to {linear:.4g} s, the linear stability limit"
         )
 
@@ -203,7 +203,7 @@ def _describe_instability(dt: float, stable: float, error: float, critical: floa
     critical: (s).
     """
     return (
-        f"run.step: dt = {dt:.3g} s is {dt / stable:.2g} times the stable step: an impact may gain up to about "
+        f"run.time_step: dt = {dt:.3g} s is {dt / stable:.2g} times the stable step: an impact may gain up to about "
         f"{100 * error:.2g} % of its energy, more where many contacts act at once; the automatic step is "
         f"{min(critical, stable):.3g} s"
     )
@@ -268,7 +268,7 @@ def _accurate_step(
     """
     if not isinstance(law, WaltonBraun):
         raise SceneError(
-            f"run.accuracy: known of the law of Walton and Braun only, not of {type(law).__name__}; give run.step"
+            f"run.accuracy: known of the law of Walton and Braun only, not of {type(law).__name__}; give run.time_step"
         )
     assert scene.run.accuracy is not None
     asked = scene.run.accuracy.model_dump(exclude_none=True)
@@ -315,7 +315,7 @@ def block_steps(scene: Scene) -> int:
     """Largest number of steps between rebuilds, rounded to few distinct numbers, as it is part of
     the compiled program.
     """
-    return overflow_recovery.round_to_multiple(8, scene.run.rebuild_steps)
+    return overflow_recovery.round_to_multiple(8, scene.run.max_rebuild_interval)
 
 
 def list_possible_contacts(

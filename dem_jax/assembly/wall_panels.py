@@ -18,7 +18,7 @@ from dem_jax.assembly.load_cell_setup import build_load_cell_model
 from dem_jax.assembly.panel_surfaces import PanelSeams, count_surfaces, find_surfaces
 from dem_jax.assembly.stl_unit_check import check_stl_unit
 from dem_jax.errors import SceneError
-from dem_jax.scene import Block, Bucket, Feeder, Motion, Scene, Wall, bucket_geometry
+from dem_jax.scene import Bucket, Feeder, Motion, Region, Scene, Wall, bucket_geometry
 from dem_jax.scene.bucket_geometry import Panel
 from dem_jax.scene.cycle_timing import apply_cycle
 from dem_jax.scene.fill_level import find_mouth_middle
@@ -37,14 +37,14 @@ SHARE_OF_SHEET = 0.1
 
 def lay_out_walls(
     scene: Scene,
-) -> tuple[list[Panel], list[Motion], dict[str, str], list[Block], list[Box]]:
+) -> tuple[list[Panel], list[Motion], dict[str, str], list[Region], list[Box]]:
     """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the
     boxes (low, high) in the feed bucket and on the feeder in which pieces start.
     """
     scene = inline_buckets(apply_cycle(scene))
     panels: list[Panel] = []
     joint: dict[str, str] = {}
-    blocks, regions = list(scene.block), list[Box]()
+    blocks, regions = list(scene.region), list[Box]()
     motions = [motion.load_table_rows(row, scene.folder) for row in scene.motion]
     for wall in scene.wall:
         panels += list_wall_panels(wall, scene.folder)

@@ -266,7 +266,7 @@ def import_jax_md() -> tuple[ModuleType, ModuleType]:
             from jax_md import partition, space
     except ImportError as error:
         raise SceneError(
-            "run.neighbours = \"jax-md\": needs jax-md: pip install 'product-impact[jax-md]'; allowed without it: "
+            "run.broad_phase = \"jax-md\": needs jax-md: pip install 'product-impact[jax-md]'; allowed without it: "
             f'"auto", "all-pairs" and "cells" ({error})'
         ) from None
     return partition, space

@@ -44,7 +44,7 @@ def show_buckets(args: Args) -> None:
         scene = with_name(name)
         weigh, feed = scene.weigh_bucket, scene.feed_bucket
         assert weigh and feed  # as the stock scene has them
-        mouth = " x ".join(f"{1e3 * edge:g}" for edge in weigh.mouth)
+        mouth = " x ".join(f"{1e3 * edge:g}" for edge in weigh.opening_size)
         litres, time, full = (
             1e3 * bucket_volume(weigh),
             feed.opening_time,

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from dem_jax import process
+from dem_jax import deprecation, process
 from dem_jax.cli import (
     app,
     buckets,
@@ -16,6 +16,7 @@ from dem_jax.cli import (
     gltf,
     listing,
     measure,
+    migrate,
     plot,
     posterior,
     products,
@@ -30,7 +31,20 @@ from dem_jax.cli import (
 from dem_jax.cli.arguments import BAD_INPUT, Parser, join_lines
 from dem_jax.errors import PlatformError, RecordError, SceneError, SimulationError
 
-COMMANDS = (run, ensemble, study, listing, check, measure, plot, report, export, weigh, app)
+COMMANDS = (
+    run,
+    ensemble,
+    study,
+    listing,
+    check,
+    measure,
+    migrate,
+    plot,
+    report,
+    export,
+    weigh,
+    app,
+)
 FORMER_COMMANDS = (scenes, products, buckets, render, gltf, vtk, collisions, posterior)
 RUN_FAILED, INTERRUPTED = 1, 130
 
@@ -60,7 +74,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run_command(argv: Sequence[str] | None) -> int:
     try:
         args = build_parser().parse_args(argv)
-        args.action(args)
+        with deprecation.print_notes():
+            args.action(args)
         sys.stdout.flush()
         return 0
     except (SceneError, RecordError, PlatformError) as error:

@@ -12,7 +12,9 @@ def add_command(commands: Commands) -> None:
     made = create_command(
         commands, "run", run_scene, "Simulate a scene: an HDF5 file, a figure and a summary."
     )
-    made.more = lambda: f"quantities in the file, sampled every run.sample:\n{quantity_table()}"
+    made.more = lambda: (
+        f"quantities in the file, sampled every run.sample_interval:\n{quantity_table()}"
+    )
     simulation_options.add_arguments(made, scene_optional=True)
     made.add_argument("--resume", metavar="FILE", help="continue the run in a file")
 

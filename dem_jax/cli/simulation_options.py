@@ -45,7 +45,7 @@ def add_arguments(command: Parser, scene_optional: bool = False) -> None:
     )
     command.add_argument(
         "--record-rate", type=float, metavar="HZ",
-        help="samples per second instead of run.sample, without poses: at 1000, as of a scale, files are a twentieth in size",
+        help="samples per second instead of run.sample_interval, without poses: at 1000, as of a scale, files are a twentieth in size",
     )  # fmt: skip
     command.add_argument(
         "--out", metavar="FILE", help="HDF5 file to write (default: the scene's name .h5)"
@@ -72,7 +72,7 @@ def load_scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
             raise SceneError(
                 f"--record-rate {args.record_rate:g}: allowed: a number above 0 and below 1e9 (1/s)"
             )
-        changes = {"run.sample": 1 / args.record_rate, "run.frames": 0.0} | changes
+        changes = {"run.sample_interval": 1 / args.record_rate, "run.frame_interval": 0.0} | changes
     check_ending(args.out)
     scene = load_scene(args.scene, changes)
     out = Path(args.out or f"{scene.name}{suffix}.h5")

@@ -27,7 +27,7 @@ def export_frames(args: Args) -> None:
     run, (shapes, walls, wall_pose) = result_files.load_run_bodies(args)
     if run.pieces is None:
         raise RecordError(
-            f"{args.file}: the run has no frames; set run.frames to the time between them (s)"
+            f"{args.file}: the run has no frames; set run.frame_interval to the time between them (s)"
         )
     path = Path(args.file)
     folder = result_files.output_path(

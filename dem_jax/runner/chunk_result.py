@@ -61,7 +61,7 @@ def compute_chunk(
         if not reasons or (failed and reruns):
             break
         reruns.append(
-            f"from t = {first * job.scene.run.sample:.6g} s: {'; '.join(reasons)}: run again with more room"
+            f"from t = {first * job.scene.run.sample_interval:.6g} s: {'; '.join(reasons)}: run again with more room"
         )
         LOG.debug("%s: %s", job.scene.name, reruns[-1])
         if job.runs is not None:

@@ -77,7 +77,7 @@ def describe_failure(
     if job.runs is not None:
         state, samples = take_runs((state, samples), member)
         system = system if job.sweep is None else job.sweep.system_for_run(system, member)
-    at = (span.first + k + 1) * job.scene.run.sample
+    at = (span.first + k + 1) * job.scene.run.sample_interval
     if samples.culprit[k] >= 0:
         piece = int(samples.culprit[k])
         what = _diagnose_invalid_piece(job, system, state, piece, member)
@@ -109,10 +109,10 @@ def note_escapes(job: Job, state: State) -> list[str]:
 
 def make_capacity_error(job: Job, first: int, reasons: list[str]) -> SimulationError:
     """The error of a chunk whose capacities cannot grow further."""
-    at = first * job.scene.run.sample
+    at = first * job.scene.run.sample_interval
     return _make_error(
         job,
-        f"from t = {at:.6g} s: {'; '.join(reasons)}; lower run.rebuild_steps or run.step",
+        f"from t = {at:.6g} s: {'; '.join(reasons)}; lower run.max_rebuild_interval or run.time_step",
         None,
         at,
         0,
@@ -203,7 +203,7 @@ def _diagnose_invalid_piece(job: Job, system: System, state: State, piece: int, 
     return (
         f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; "
         f"likely cause: {_blame_overfull_bucket(job, member)}{cause}; "
-        f'the domain is set by run.{key}, and run.escape = "note" goes on without the piece'
+        f'the domain is set by run.{key}, and run.on_escape = "warn" goes on without the piece'
     )
 
 
@@ -293,13 +293,14 @@ def _describe_softness(job: Job, member: int, piece: int) -> str:
     scene = job.scene_for_run(member)
     table, name = build_material_table(scene), job.built_for_run(member).piece_set.materials[piece]
     modulus = (
-        float(table.youngs_modulus[find_piece_rows(table, [name])[0]]) * scene.material.softening
+        float(table.youngs_modulus[find_piece_rows(table, [name])[0]])
+        * scene.material.numerical_softening
     )
     bounds = find_modulus_range(scene, name)
     known = "" if bounds is None else f", of a product of {bounds[0]:g} to {bounds[1]:g} Pa"
     raised = (
-        "raise material.softening"
-        if scene.material.softening < 1
+        "raise material.numerical_softening"
+        if scene.material.numerical_softening < 1
         else "raise material.youngs_modulus"
     )
     foam = (
@@ -320,7 +321,9 @@ def _suggest_drives(scene: Scene, group: str | None) -> str:
         for key, short_name in bucket_geometry.GROUP_PREFIXES.items()
         if (bucket := getattr(scene, key)) and bucket.opening_angle_deg and not bucket.drive
     ]
-    swung = [motion.group for motion in scene.motion if motion.swing_deg and not motion.drive]
+    swung = [
+        motion.group for motion in scene.motion if motion.opening_angle_deg and not motion.drive
+    ]
     flaps += [([name], f"drive = {{torque = ..}} of the [[motion]] of {name!r}") for name in swung]
     keys = [key for groups, key in flaps if group is None or group in groups]
     return f" (flaps of limited torque: {' or '.join(keys)})" if keys else ""
@@ -332,13 +335,13 @@ def _diagnose_speed(system: System, state: State) -> tuple[int, str]:
     piece, width = int(np.argmax(speed)), float(np.min(system.pieces.width))
     return piece, (
         f"at {speed[piece]:.3g} m/s it moves by {speed[piece] * float(system.dt):.3g} m in a time step, and may pass what is in "
-        f"its way; allowed: at most {100 * DEEPEST_OVERLAP:g} % of the width of the narrowest piece, {width:.3g} m (lower run.step)"
+        f"its way; allowed: at most {100 * DEEPEST_OVERLAP:g} % of the width of the narrowest piece, {width:.3g} m (lower run.time_step)"
     )
 
 
 def _advise_step(job: Job, member: int) -> str:
     step, scene = job.built_for_run(member).step, job.scene_for_run(member)
     return (
-        f"time step of {step.dt:.3g} s (dt/dt_crit = {step.dt / step.critical:.2g}) too long, lower run.step; "
+        f"time step of {step.dt:.3g} s (dt/dt_crit = {step.dt / step.critical:.2g}) too long, lower run.time_step; "
         f"or restitution {scene.material.restitution:g} too low for it"
     )

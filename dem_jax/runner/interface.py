@@ -184,7 +184,9 @@ def resume(
             scene, seeds, header.run_count, quantities, law, header.info.get("parameters")
         )
         if samples > job.samples:
-            held = f"allowed: at least {samples * scene.run.sample:g} s, which {path} holds"
+            held = (
+                f"allowed: at least {samples * scene.run.sample_interval:g} s, which {path} holds"
+            )
             raise SceneError(f"duration = {scene.run.duration:g}: {held}")
         job = _continue_job(job, path, header, arrays, samples, frames)
         if samples == job.samples or "settled" in header.info:

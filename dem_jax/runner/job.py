@@ -105,7 +105,10 @@ class Job:
         assert self.built.exchange_plan is not None  # as who asks makes sure
         block = samples_per_block(self.system)
         return (
-            max(1, round(self.built.exchange_plan.interval / (block * self.scene.run.sample)))
+            max(
+                1,
+                round(self.built.exchange_plan.interval / (block * self.scene.run.sample_interval)),
+            )
             * block
         )
 

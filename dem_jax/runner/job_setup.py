@@ -129,7 +129,7 @@ def _list_notes(
     times = sampling_check.note_rounded_times(scene.run, built[0].samples, built[0].frame_every)
     notes = (
         longest.step.warning,
-        sampling_check.note_coarse_sampling(scene.run.sample, shortest),
+        sampling_check.note_coarse_sampling(scene.run.sample_interval, shortest),
         precision,
         *times,
         *overfull,

@@ -75,7 +75,7 @@ def _list_new_notes(job: Job, span: ChunkResult, notes: list[str], shown: Progre
     news: list[str] = []
     for note in failure.note_escapes(job, span.state):
         if not any(known.startswith(note) for known in (*notes, *news)):
-            news.append(f"{note} before t = {span.end * job.scene.run.sample:.4g} s")
+            news.append(f"{note} before t = {span.end * job.scene.run.sample_interval:.4g} s")
             shown.show_note(news[-1])
     for note in (
         *undamped_rest.note_undamped_rest(job, span),

@@ -14,12 +14,16 @@ import numpy as np
 from dem_jax import assembly
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
+from dem_jax.scene.former_keys import accept_keys
 from dem_jax.scene.messages import shorten_value
 from dem_jax.types import System
 
 Values = Mapping[str, Any]  # dotted key of a scene -> a value for each run, or a distribution of
 # scipy.stats
-FIXED_SECTIONS, VARIABLE_RUN_KEY = ("run", "name", "base"), "run.step"  # sections that are the same
+FIXED_SECTIONS, VARIABLE_RUN_KEY = (
+    ("run", "name", "base"),
+    "run.time_step",
+)  # sections that are the same
 # in the whole ensemble, except this key
 FILE_KEYS = ("stl", "flap_stl", "table", "unit", "rotate_deg", "move")  # keys of a file and of how
 # it is read
@@ -87,6 +91,7 @@ def draw_parameters(values: Values, runs: int | None, seed: int) -> dict[str, li
     Raises:
         SceneError: the number of values is not that of the runs.
     """
+    values = accept_keys(values)
     counts = {key: len(value) for key, value in values.items() if not hasattr(value, "rvs")}
     runs = runs if runs is not None else next(iter(counts.values()), 64)
     for key, count in counts.items():

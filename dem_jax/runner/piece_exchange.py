@@ -56,11 +56,11 @@ def note_missing_inflow(job: Job, state: State, at: int) -> list[str]:
         np.atleast_1d(np.asarray(get_exchange(state).mass)[..., 0, 0]),
         np.atleast_2d(np.asarray(get_exchange(state).there)),
     )
-    late = mass < _due_mass(inlet, at * job.scene.run.sample) - 2 * float(
+    late = mass < _due_mass(inlet, at * job.scene.run.sample_interval) - 2 * float(
         np.max(job.system.pieces.mass)
     )
     why = lambda k: (
-        "no piece waits (inlet.waiting)" if there[k].all() else "there is no room in its box"
+        "no piece waits (inlet.reservoir)" if there[k].all() else "there is no room in its box"
     )
     return [
         f"{job.scene.name}: the inlet brings less than inlet.mass_rate: {why(k)}"
@@ -82,7 +82,7 @@ def _exchange_run(job: Job, state: State, at: int, run: int) -> State:
     random = np.random.default_rng([job.seeds[run], at])
     state = _remove_pieces(system, plan, state)
     if scene.inlet is not None:
-        state = _insert_pieces(system, plan, scene, state, at * scene.run.sample, random)
+        state = _insert_pieces(system, plan, scene, state, at * scene.run.sample_interval, random)
     return state.replace(exchange=replace(get_exchange(state), last=state.step))
 
 

@@ -39,7 +39,7 @@ class Progress:
         if shown:
             from tqdm import tqdm
 
-            total, ms = job.samples - self._from, 1e3 * job.scene.run.sample
+            total, ms = job.samples - self._from, 1e3 * job.scene.run.sample_interval
             below = None if sys.stderr.isatty() else 0  # a study's bar; in a log, which has one
             # line, no bar stands below another
             self._bar = tqdm(

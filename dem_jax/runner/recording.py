@@ -38,7 +38,7 @@ def build_header(job: Job) -> run_files.RunHeader:
         dt=step.dt,
         precision=scene.run.precision,
         version=__version__,
-        sample=scene.run.sample,
+        sample=scene.run.sample_interval,
         gravity=scene.run.gravity,
         groups=tuple(name for name, _ in job.system.walls.reports),
         blocks=job.system.blocks,
@@ -85,7 +85,9 @@ def select_new_rows(
     old = min(max(0, job.samples_kept - span.first), count)
     number = np.arange(span.first + old, span.first + count)
     rows = jax.tree.map(lambda x: x[(*run_axis, slice(old, count))], span.samples)
-    samples = series.series_from_samples(span.system, rows, (number + 1) * job.scene.run.sample)
+    samples = series.series_from_samples(
+        span.system, rows, (number + 1) * job.scene.run.sample_interval
+    )
     return samples if len(number) else {}, _select_new_frames(job, span, count, run_axis)
 
 
@@ -108,7 +110,7 @@ def _select_new_frames(
         )
     new = number >= job.frames_kept
     poses = poses[(*run_axis, new)]
-    time_of = number[new] * (job.samples_per_frame * job.scene.run.sample)
+    time_of = number[new] * (job.samples_per_frame * job.scene.run.sample_interval)
     frames = (
         job.built.frames
         if job.sweep is None
@@ -142,9 +144,9 @@ def collect_info(
         name: said for name, said in (("notes", notes), ("reruns", reruns)) if said
     }
     if span.settled and span.first >= 0:
-        facts["settled"] = span.end * job.scene.run.sample
+        facts["settled"] = span.end * job.scene.run.sample_interval
     elif span.settled and job.stop_rule is not None:
-        facts["settling"] = (span.end - job.stop_rule.start) * job.scene.run.sample
+        facts["settling"] = (span.end - job.stop_rule.start) * job.scene.run.sample_interval
     if span.state.collisions is not None:
         facts["collisions"] = collision_summary.summarize_collisions(span.system, span.state)
     if span.end >= 0 and not job.is_shared:

@@ -19,6 +19,7 @@ from dem_jax.errors import SceneError
 from dem_jax.runner.functional import build_for_tracing
 from dem_jax.runner.job_setup import assemble_scene
 from dem_jax.scene import Scene, load_scene
+from dem_jax.scene.former_keys import accept_keys
 from dem_jax.scene.messages import shorten_value
 from dem_jax.types import Array
 
@@ -32,7 +33,7 @@ class Rollout:
     of its scene.
 
     Capacities are exceeded if more pairs are close to each other than expected, or if bodies move
-    too far between two rebuilds (``run.rebuild_steps``). Neither is possible with a capacity for
+    too far between two rebuilds (``run.max_rebuild_interval``). Neither is possible with a capacity for
     all pairs, such as for one piece on a few walls.
 
     time: [T] (s) since the release of the portion. series: by the names of the quantities, as for
@@ -62,7 +63,7 @@ def rollout(
     to them.
 
     The program, sizes, shapes and the time step are those of the scene: give it the stiffest
-    material and the lowest restitution of the values to come. The ``run.duration / run.sample``
+    material and the lowest restitution of the values to come. The ``run.duration / run.sample_interval``
     samples from the release on are returned; errors that would stop ``simulate`` do not stop it.
     Forces have kinks at the beginning of contacts and at the end of the loading line, where
     derivatives are one-sided; for many pieces, whose motion is chaotic, derivatives grow without
@@ -78,7 +79,7 @@ def rollout(
             height, and position, orientation and velocities of listed pieces.
         seed: seed of the initial arrangement of a portion.
         quantities: quantities to sample in addition to those of dem_jax.
-        checkpoint: reverse mode keeps the state only at every rebuild (``run.rebuild_steps``) and
+        checkpoint: reverse mode keeps the state only at every rebuild (``run.max_rebuild_interval``) and
             recomputes the steps between, which takes 1.2 to 1.5 times as long to compile and up to
             1.4 times to run. By default only if the states of all steps would take more than 1 GiB.
 
@@ -89,6 +90,7 @@ def rollout(
         SceneError: the scene or a parameter cannot be used; the message lists the permitted keys.
             Numbers have the limits that they have in a scene; traced values have none.
     """
+    parameters = accept_keys(parameters)
     scene = assembly.inline_files(scene if isinstance(scene, Scene) else load_scene(scene))
     built = build_for_tracing(scene, seed)
     topology, own = split_scene(scene, built, quantities)
@@ -118,7 +120,7 @@ def rollout(
     series = {
         name: found for name, found in series.items() if not (isinstance(found, dict) and not found)
     }
-    time = jnp.arange(1, built.samples + 1, dtype=system.dt.dtype) * scene.run.sample
+    time = jnp.arange(1, built.samples + 1, dtype=system.dt.dtype) * scene.run.sample_interval
     return Rollout(time, series)
 
 
@@ -142,5 +144,5 @@ def check_numbers(scene: Scene, built: assembly.AssembledSystem, values: Paramet
         said = ", ".join(f"{key} = {shorten_value(value)}" for key, value in numbers.items())
         raise SceneError(
             f"{said}: the scene's time step, dt = {built.step.dt:.4g} s, is not stable with it; allowed: a scene whose own numbers "
-            f"or run.step make it at most {checked.stable:.4g} s, or run.allow_unstable_step = true"
+            f"or run.time_step make it at most {checked.stable:.4g} s, or run.allow_unstable_step = true"
         )

@@ -86,10 +86,10 @@ def build_criterion(
             f"above {2 * speed / gravity:.4g} s, in which gravity turns run.settled_speed = {speed:g} round"
         )
     begins, ends = motion.motion_interval(system.walls)
-    wanted = max(1, math.ceil(scene.run.settled_time / scene.run.sample - 1e-9))
+    wanted = max(1, math.ceil(scene.run.settled_time / scene.run.sample_interval - 1e-9))
     return StopCriterion(
         speed=speed,
         window=-(-wanted // samples_per_block) * samples_per_block,
         start=0 if begins < 0 else -settling,
-        walls_at_rest=math.ceil(ends / scene.run.sample - 1e-3),
+        walls_at_rest=math.ceil(ends / scene.run.sample_interval - 1e-3),
     )

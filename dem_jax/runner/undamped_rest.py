@@ -22,10 +22,10 @@ def note_undamped_rest(job: Job, span: ChunkResult) -> list[str]:
     on the scene and the span alone, so that a resumed run has the same note.
     """
     run = job.scene.run
-    looked = min(span.count, round(LONG_REST / run.sample))
+    looked = min(span.count, round(LONG_REST / run.sample_interval))
     # longer than the top of a bounce is slow
-    can_rest = looked * run.sample * math.hypot(*run.gravity) > 2 * run.settled_speed
-    if not _is_undamped(job) or not can_rest or span.end * run.sample < LONG_REST:
+    can_rest = looked * run.sample_interval * math.hypot(*run.gravity) > 2 * run.settled_speed
+    if not _is_undamped(job) or not can_rest or span.end * run.sample_interval < LONG_REST:
         return []
     fastest = np.asarray(span.samples.fastest)[..., span.count - looked : span.count]
     return [UNDAMPED_NOTE] if np.any(np.all(fastest < run.settled_speed, axis=-1)) else []

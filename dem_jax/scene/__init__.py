@@ -27,12 +27,12 @@ from dem_jax.scene.sections.piece import (
     Product,
 )
 from dem_jax.scene.sections.run_settings import Accuracy, Error, RunSettings
-from dem_jax.scene.sections.wall import Block, Drive, Motion, Wall
+from dem_jax.scene.sections.wall import Drive, Motion, Region, Wall
 from dem_jax.scene.tree_merging import parse_setting
 
 __all__ = [
     "Accuracy",
-    "Block",
+    "Region",
     "BodyMass",
     "Bucket",
     "ConvexShape",

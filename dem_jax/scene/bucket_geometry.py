@@ -8,7 +8,7 @@ import numpy as np
 
 from dem_jax.scene.array_namespace import is_zero
 from dem_jax.scene.sections.bucket import Bucket, Feeder
-from dem_jax.scene.sections.wall import Block, Motion
+from dem_jax.scene.sections.wall import Motion, Region
 
 GROUP_PREFIXES = {"weigh_bucket": "wb", "feed_bucket": "fb"}  # a scene's section -> what the names
 # of its wall groups begin with
@@ -27,19 +27,19 @@ class BucketParts:
     panels: list[Panel]
     motions: list[Motion]  # one for each flap that opens
     joint: dict[str, str]  # flap's group -> the group that its force is added to
-    block: Block
+    block: Region
     interior_low: np.ndarray  # [3] (m): box above the hinges
     interior_high: np.ndarray  # [3] (m)
 
 
 def flap_depth(bucket: Bucket) -> float:
     """Height (m) of the closed flaps, from their lower edge to the hinges."""
-    return 0.5 * bucket.mouth[1] * np.tan(np.radians(bucket.flap_angle_deg))
+    return 0.5 * bucket.opening_size[1] * np.tan(np.radians(bucket.flap_angle_deg))
 
 
 def bucket_volume(bucket: Bucket) -> float:
     """What a bucket of named sizes holds to its brim (m3)."""
-    x, y = bucket.mouth
+    x, y = bucket.opening_size
     return float(x * y * (bucket.wall_height + 0.5 * flap_depth(bucket)))
 
 
@@ -56,9 +56,9 @@ def build_bucket_parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
     """
     if bucket.panels is not None:
         return _build_panel_parts(bucket, name, bottom)
-    x, y = 0.5 * bucket.mouth[0], 0.5 * bucket.mouth[1]
+    x, y = 0.5 * bucket.opening_size[0], 0.5 * bucket.opening_size[1]
     hinge = bottom + flap_depth(bucket)
-    top, skirt = hinge + bucket.wall_height, hinge - bucket.lap
+    top, skirt = hinge + bucket.wall_height, hinge - bucket.panel_overlap
     # Without the lap a piece whose corner reaches a little past the free edge of a panel would be
     # pushed along it.
     slope = np.radians(bucket.flap_angle_deg)
@@ -75,13 +75,16 @@ def build_bucket_parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
         group = f"{name}_flap_{side}"
         joint[group] = f"{name}_flaps"
         edge = (sign * y, hinge)
-        lip = (-sign * bucket.lap * np.cos(slope), bottom - bucket.lap * np.sin(slope))
+        lip = (
+            -sign * bucket.panel_overlap * np.cos(slope),
+            bottom - bucket.panel_overlap * np.sin(slope),
+        )
         corners = [(-x, *edge), (x, *edge), (x, *lip), (-x, *lip)]
         panels.append((group, _orient_upwards(np.array(corners)), bucket.thickness))
         if not is_zero(bucket.opening_angle_deg):
             motions.append(_make_hinge_motion(bucket, group, (0.0, *edge), sign))
     margin = 0.01
-    block = Block(
+    block = Region(
         name=name,
         low=(-x - margin, -y - margin, bottom - margin),
         high=(x + margin, y + margin, top),
@@ -117,7 +120,7 @@ def _build_panel_parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
     joint = {group: f"{name}_flaps" for group in names[1:]}
     points = np.concatenate([panel for _, panel, _ in panels])
     low, high = points.min(axis=0) - 0.01, points.max(axis=0) + [0.01, 0.01, 0.0]
-    block = Block(name=name, low=tuple(low.tolist()), high=tuple(high.tolist()))
+    block = Region(name=name, low=tuple(low.tolist()), high=tuple(high.tolist()))
     floor = max(
         [pivot[2] for pivot in pivots]
         or [panel[:, 2].max() for panel in select_floor_panels(corners[0])],
@@ -205,11 +208,11 @@ def _make_hinge_motion(
         group=group,
         pivot=pivot,
         axis=(1.0, 0.0, 0.0),
-        swing_deg=sign * bucket.opening_angle_deg,
-        start=bucket.opening_start,
-        opening=bucket.opening_time,
-        dwell=bucket.open_dwell,
-        closing=bucket.closing_time,
+        opening_angle_deg=sign * bucket.opening_angle_deg,
+        opening_start=bucket.opening_start,
+        opening_time=bucket.opening_time,
+        hold_time=bucket.hold_time,
+        closing_time=bucket.closing_time,
         period=bucket.period,
         drive=bucket.drive,
     )
@@ -221,7 +224,7 @@ class FeederParts:
 
     panels: list[Panel]
     motion: Motion
-    block: Block
+    block: Region
     interior_low: np.ndarray  # [3] (m): box above the pan
     interior_high: np.ndarray  # [3] (m)
 
@@ -241,14 +244,14 @@ def build_feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
         group=FEEDER_GROUP,
         stroke=tuple(stroke),
         frequency=feeder.frequency,
-        shake_start=feeder.start,
-        shake_end=feeder.start + feeder.duration,
-        shake_ramp=feeder.ramp,
-        shake_period=feeder.period,
+        vibration_start=feeder.start,
+        vibration_end=feeder.start + feeder.duration,
+        vibration_ramp=feeder.ramp,
+        vibration_period=feeder.period,
     )
     panels = [(FEEDER_GROUP, np.array(c), feeder.thickness) for c in corners]
     end = min(high[0], bucket.interior_low[0]) - 0.01  # none begins above the bucket
-    block = Block(name=FEEDER_GROUP, low=(low[0], low[1], edge[2]), high=tuple(high))
+    block = Region(name=FEEDER_GROUP, low=(low[0], low[1], edge[2]), high=tuple(high))
     return FeederParts(panels, motion, block, low, np.array([end, *high[1:]]))
 
 

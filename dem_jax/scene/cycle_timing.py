@@ -33,7 +33,7 @@ def _flap_times(flaps: FlapTimes, zero: float, period: float) -> dict[str, float
     return {
         "opening_start": opens - zero,
         "opening_time": is_open - opens,
-        "open_dwell": closes - is_open,
+        "hold_time": closes - is_open,
         "closing_time": is_shut - closes,
         "period": period,
     }

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from dem_jax.errors import SceneError
+from dem_jax.scene.former_keys import accept_tables, rename_tables
 from dem_jax.scene.library import apply_library_keys
 from dem_jax.scene.messages import format_error
 from dem_jax.scene.overrides import drop_inactive_keys
@@ -37,7 +38,7 @@ def parse_scene(text: str, source: str | Path = "scene") -> Scene:
     stock scene as its base. Raises SceneError.
     """
     tree = _load_toml(text, source)
-    tree = tree if "base" in tree else drop_inactive_keys(tree)
+    tree = accept_tables(tree) if "base" in tree else drop_inactive_keys(rename_tables(tree))
     return validate_scene(_merge_base(tree, Path("."), source, ()), str(source))
 
 
@@ -96,7 +97,7 @@ def _read_scene(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]
         raise SceneError(
             f"scene {path}: cannot be read ({type(error).__name__}); allowed: a TOML text file"
         ) from error
-    own = _load_toml(text, path)
+    own = accept_tables(_load_toml(text, path), str(path))
     name = own.get("name", path.stem)
     tree = _merge_base(own, path.parent, path, (*seen, path.resolve()))
     tree["name"] = name

@@ -9,6 +9,7 @@ from typing import Any
 
 from dem_jax.errors import SceneError
 from dem_jax.scene.evidence import extract_scene_sections, read_states, select_state
+from dem_jax.scene.former_keys import accept_tables
 from dem_jax.scene.messages import shorten_value, suggest_choices
 from dem_jax.scene.overrides import drop_overridden_keys
 from dem_jax.scene.sections.contact import LAW_KEYS
@@ -213,7 +214,9 @@ def _mix_products(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tr
         filled.append({"material": name} | _fill_row(row, product.get("portion", {})))
         if filled[-1]["material"] == name:
             of_product = product.get("material", {})
-            softening += [of_product["softening"]] if "softening" in of_product else []
+            softening += (
+                [of_product["numerical_softening"]] if "numerical_softening" in of_product else []
+            )
             materials[name] = {
                 key: item for key, item in of_product.items() if key in NamedMaterial.model_fields
             }
@@ -224,7 +227,7 @@ def _mix_products(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tr
                 )
     given = material if isinstance(material, dict) else {}
     whole = merge_tables(
-        {**({"softening": max(softening)} if softening else {}), **materials}, given
+        {**({"numerical_softening": max(softening)} if softening else {}), **materials}, given
     )
     ranges = drop_replaced_ranges({"uncertain": ranges}, {"material": given})["uncertain"]
     sections = {
@@ -301,6 +304,7 @@ def read_library_file(path: Path, key: str, sections: Sequence[str]) -> Tree:
         raise SceneError(
             f"{key} = {str(path)!r}: {found}; allowed: {', '.join(f'[{name}]' for name in sections)}"
         )
+    tree = accept_tables(tree, str(path))
     return {name: _resolve_stl_paths(item, path.resolve().parent) for name, item in tree.items()}
 
 

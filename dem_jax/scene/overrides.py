@@ -12,9 +12,9 @@ from dem_jax.scene.toml_text import format_value
 
 Tree = dict[str, Any]
 BUCKETS = ("weigh_bucket", "feed_bucket")
-SIZE_KEYS = ("mouth", "wall_height", "flap_angle_deg", "lap")  # of a bucket
+SIZE_KEYS = ("opening_size", "wall_height", "flap_angle_deg", "panel_overlap")  # of a bucket
 # of its flaps
-FLAP_TIME_KEYS = ("opening_start", "opening_time", "open_dwell", "closing_time", "period")
+FLAP_TIME_KEYS = ("opening_start", "opening_time", "hold_time", "closing_time", "period")
 PAN_KEYS = ("length", "width", "wall_height")
 VIBRATION_KEYS = ("start", "duration", "period")
 

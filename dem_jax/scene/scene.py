@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
+from dem_jax.scene.former_keys import accept_keys, accept_tables
 from dem_jax.scene.library import apply_library_keys
 from dem_jax.scene.messages import format_error, suggest_choices
 from dem_jax.scene.overrides import (
@@ -25,7 +26,7 @@ from dem_jax.scene.sections.piece import Piece, Portion, Product
 from dem_jax.scene.sections.run_settings import ROUNDING, RunSettings
 from dem_jax.scene.sections.statistics_settings import Statistics
 from dem_jax.scene.sections.uncertain_number import UncertainNumber
-from dem_jax.scene.sections.wall import Block, Motion, Wall
+from dem_jax.scene.sections.wall import Motion, Region, Wall
 from dem_jax.scene.toml_text import dump_toml, format_value
 from dem_jax.scene.tree_merging import (
     drop_density,
@@ -50,7 +51,7 @@ class Scene(Section):
     piece: Annotated[tuple[Piece, ...], BeforeValidator(as_tuple)] = ()
     wall: Annotated[tuple[Wall, ...], BeforeValidator(as_tuple)] = ()
     motion: Annotated[tuple[Motion, ...], BeforeValidator(as_tuple)] = ()
-    block: Annotated[tuple[Block, ...], BeforeValidator(as_tuple)] = ()
+    region: Annotated[tuple[Region, ...], BeforeValidator(as_tuple)] = ()
     feed_bucket: Bucket | None = None
     weigh_bucket: WeighBucket | None = None
     feeder: Feeder | None = None
@@ -90,9 +91,9 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _inlet_has_a_place(self) -> "Scene":
-        if self.inlet and (self.piece or (self.inlet.low is None and self.feed_bucket is None)):
+        if self.inlet and (self.piece or (self.inlet.box_low is None and self.feed_bucket is None)):
             raise ValueError(
-                "[inlet] needs a [portion], and a [feed_bucket] or inlet.low and inlet.high"
+                "[inlet] needs a [portion], and a [feed_bucket] or inlet.box_low and inlet.box_high"
             )
         return self
 
@@ -101,15 +102,15 @@ class Scene(Section):
         """A time that is counted in samples and is shorter than one would silently become a whole
         one.
         """
-        sample, portion = self.run.sample, self.portion
+        sample, portion = self.run.sample_interval, self.portion
         rows = {"inlet": self.inlet, "outlet": self.outlet}
-        times = {f"{name}.every": row.every for name, row in rows.items() if row is not None}
+        times = {f"{name}.interval": row.interval for name, row in rows.items() if row is not None}
         if portion is not None and not self.piece and portion.arrangement == "settled":
             times["portion.settling_time"] = portion.settling_time
         for key, time in times.items():
             if sample > time * (1 + ROUNDING):
                 raise ValueError(
-                    f"run.sample = {sample:g}: longer than {key} = {time:g}; allowed: at most that"
+                    f"run.sample_interval = {sample:g}: longer than {key} = {time:g}; allowed: at most that"
                 )
         return self
 
@@ -247,7 +248,7 @@ def validate_scene(
     """The scene of a tree of plain values with changes by dotted keys (``product``, ``bucket``
     first), then by sections. Raises SceneError, whose words begin with ``source``.
     """
-    changes = dict(changes or {})
+    changes = accept_keys(changes or {})
     tree = apply_library_keys(tree, changes, source)
     new = find_new_materials(tree, changes)
     tree = (
@@ -257,7 +258,7 @@ def validate_scene(
     tree = drop_replaced_ranges(drop_overridden_keys(tree, above), above)
     for key, item in changes.items():
         set_key(tree, key.split("."), item)
-    tree = overlay_scene(tree, sections or {})
+    tree = overlay_scene(tree, accept_tables(sections or {}))
     try:
         scene = Scene.model_validate(tree)
     except ValidationError as error:

@@ -60,8 +60,8 @@ def make_decomposed_shape(
     unit: float = 1.0,
     concavity: float = CONCAVITY_LIMIT,
     max_parts: int = MOST_PARTS,
-    loss: float = MOST_LOST,
-    max_corners: int | None = None,
+    max_volume_loss: float = MOST_LOST,
+    max_vertices: int | None = None,
 ) -> tuple[Shape, Decomposition]:
     """Shape of a closed STL that is not convex, and its decomposition; arguments and errors as
     ``decompose_mesh``.
@@ -69,7 +69,7 @@ def make_decomposed_shape(
     Volume, centre of mass and inertia are those of the STL itself; contacts are those of the convex
     parts.
     """
-    found = decompose_mesh(path, unit, concavity, max_parts, loss, max_corners)
+    found = decompose_mesh(path, unit, concavity, max_parts, max_volume_loss, max_vertices)
     if len(found.points) == 1:
         shape, centre = hull_and_centre(found.points[0])
         return (
@@ -86,8 +86,8 @@ def decompose_mesh(
     unit: float = 1.0,
     concavity: float = CONCAVITY_LIMIT,
     max_parts: int = MOST_PARTS,
-    loss: float = MOST_LOST,
-    max_corners: int | None = None,
+    max_volume_loss: float = MOST_LOST,
+    max_vertices: int | None = None,
 ) -> Decomposition:
     """Convex parts of a closed STL, by CoACD (Wei, Liu, Ling and Su, ACM Trans. Graph. 41, 2022),
     the same each time.
@@ -101,9 +101,9 @@ def decompose_mesh(
             to 1).
         max_parts: largest number of parts; where there are more, those are joined that cost least.
             Compile time is proportional to the number of parts.
-        loss: the largest fraction by which the parts' volume may differ from the mesh's, and the
+        max_volume_loss: the largest fraction by which the parts' volume may differ from the mesh's, and the
             largest distance between the surfaces over the size.
-        max_corners: largest number of corners of a part; one of more is simplified. None: 256 in
+        max_vertices: largest number of corners of a part; one of more is simplified. None: 256 in
             all parts together, but 16 to 32 in each.
 
     Raises:
@@ -113,12 +113,14 @@ def decompose_mesh(
     concavity = require_positive("concavity", concavity, "a number from 0.01 to 1")
     if not 0.01 <= concavity <= 1.0:
         raise SceneError(f"concavity = {concavity!r} must be a number from 0.01 to 1")
-    loss, unit = (
-        require_positive("loss", loss, "a positive fraction of the volume and of the size"),
+    max_volume_loss, unit = (
+        require_positive(
+            "max_volume_loss", max_volume_loss, "a positive fraction of the volume and of the size"
+        ),
         require_length("unit", unit),
     )
     body = read_body(path)
-    points, excess, distance = _load_or_cut(body, concavity, max_parts, max_corners, str(path))
+    points, excess, distance = _load_or_cut(body, concavity, max_parts, max_vertices, str(path))
     mass = MassProperties(
         unit**3 * body.mass.volume, unit * body.mass.centre, unit**2 * body.mass.gyration
     )
@@ -126,9 +128,9 @@ def decompose_mesh(
     found = Decomposition(
         tuple(unit * each for each in points), mass, excess, unit * distance, size, body.notes
     )
-    if max(abs(excess), found.surface_distance / size) > loss:
+    if max(abs(excess), found.surface_distance / size) > max_volume_loss:
         raise SceneError(
-            f"stl = {str(path)!r} is lost in part by its convex parts: {found}; loss = {loss:g} is allowed: "
+            f"stl = {str(path)!r} is lost in part by its convex parts: {found}; max_volume_loss = {max_volume_loss:g} is allowed: "
             "a smaller concavity or more max_parts keep more"
         )
     return found
@@ -140,7 +142,7 @@ def _load_or_cut(
     """Corners of the parts, Decomposition.volume_excess and .surface_distance: from the cache
     folder, else made.
     """
-    settings = {"concavity": concavity, "max_parts": parts, "max_corners": corners}
+    settings = {"concavity": concavity, "max_parts": parts, "max_vertices": corners}
     key = parts_cache.make_cache_key(body.outer.vertices, body.outer.faces, settings)
     kept = parts_cache.load_arrays(key)
     if kept is None:

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from dem_jax.errors import SceneError
 from dem_jax.runner.uncertain_draws import fix_piece_counts
 from dem_jax.scene import Scene, load_scene
+from dem_jax.scene.former_keys import accept_study
 from dem_jax.scene.messages import format_error
 from dem_jax.scene.overrides import check_varied_keys
 from dem_jax.scene.sections.base import Positive, Section, as_tuple
@@ -148,7 +149,7 @@ class Study(Section):
         Raises SceneError.
         """
         beside = Path(self.folder) / self.scene
-        changes = {"run.frames": 0.0} | self.set
+        changes = {"run.frame_interval": 0.0} | self.set
         scene = load_scene(beside if beside.is_file() else self.scene, changes)
         check_varied_keys(scene, self.parameter, f"study {self.name}: {scene.name}")
         return scene.replace(fix_piece_counts(scene)) if self.uncertain else scene
@@ -201,6 +202,7 @@ def load_study(source: str | Path, quick: bool = False) -> Study:
 def validate_study(tree: dict[str, Any], source: str | Path, quick: bool = False) -> Study:
     """The study of a tree of plain values. Raises SceneError."""
     folder = str(Path(source).parent)
+    tree = accept_study(tree, str(source))
     try:
         if quick:
             Study.model_validate(tree | {"folder": folder})

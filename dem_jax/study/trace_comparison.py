@@ -36,7 +36,7 @@ def simulate_model_traces(results: StudyResults, seed: int = 0) -> np.ndarray:
     inputs = product_model.Parameters(
         h_mean=table.height, gamma_low=table.gamma_low, gamma_high=table.gamma_high, dt_impact=table.impact_time,
         m_piece=weight or (portion.target_weight or 0.05) / pieces if portion else 0.005, pieces=pieces,
-        sample=scene.run.sample, duration=float(len(time) * scene.run.sample),
+        sample=scene.run.sample_interval, duration=float(len(time) * scene.run.sample_interval),
     )  # fmt: skip
     runs = int((results.state == DONE).sum())
     return _cut_before_first_force(results, list(product_model.ensemble(inputs, seed, runs).pif_kg))

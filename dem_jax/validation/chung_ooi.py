@@ -212,7 +212,7 @@ def _varied_keys(impact: SphereImpact, law: str) -> list[str]:
     ]
     of_piece = ["radius", "position", "velocity", "angular_velocity"]
     pieces = range(2 if impact.other else 1)
-    own = ["contact.impact_speed"] if law == "hertz-mindlin" else []
+    own = ["contact.max_impact_speed"] if law == "hertz-mindlin" else []
     return (
         [f"material.{k}" for k in of_material]
         + [f"piece.{n}.{k}" for n in pieces for k in of_piece]
@@ -236,7 +236,7 @@ def _impact_scene(law: str, i: SphereImpact, duration: float, touch: float) -> S
         "friction_wall": i.friction,
         "friction_piece": i.friction,
         "wall_youngs_modulus": RIGID,
-        "softening": 1.0 if law == "hertz-mindlin" else SOFT,
+        "numerical_softening": 1.0 if law == "hertz-mindlin" else SOFT,
     }
     run = {
         "gravity": (0.0, 0.0, 0.0),
@@ -245,7 +245,7 @@ def _impact_scene(law: str, i: SphereImpact, duration: float, touch: float) -> S
         "frames": duration,
         "energy": False,
     }
-    contact = {"law": law} | ({"impact_speed": i.speed} if law == "hertz-mindlin" else {})
+    contact = {"law": law} | ({"max_impact_speed": i.speed} if law == "hertz-mindlin" else {})
     gap = i.speed * touch
     if not i.other:  # the speed of the contact point is along + surface: the spin is about -y
         row = {

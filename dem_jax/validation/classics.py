@@ -50,7 +50,12 @@ def landing_problem() -> Problem:
     scene = plate_scene(
         piece,
         (0.0, 0.0, -GRAVITY),
-        run={"duration": 6.5e-3, "sample": 3.25e-5, "frames": 6.5e-3, "energy": False},
+        run={
+            "duration": 6.5e-3,
+            "sample_interval": 3.25e-5,
+            "frame_interval": 6.5e-3,
+            "track_energy": False,
+        },
     )
     made = _build_double(scene).system
     mass, stiffness = float(made.pieces.mass[0]), float(wall_stiffness(made)[0])
@@ -89,9 +94,9 @@ def corner_problem() -> Problem:
     }
     run = {"duration": 4e-4, "sample": 4e-6, "frames": 4e-4, "energy": False}
     material: dict[str, Any] = {
-        "softening": 1.0,
+        "numerical_softening": 1.0,
         "restitution": 0.5,
-        "separation": 0.0,
+        "separation_slope_ratio": 0.0,
         "friction_wall": 0.0,
     }
     scene = plate_scene(piece, run=run, **material)
@@ -187,8 +192,13 @@ def turning_problem(law: str = "walton-braun") -> Problem:
     scene = load_scene("plate-drop").replace(
         piece=pieces,
         contact={"law": law},
-        material={"friction_wall": ROUGH, "restitution": 0.1, "softening": 1.0},
-        run={"gravity": (0.0, 0.0, -GRAVITY), "duration": 0.02, "sample": 5e-4, "frames": 5e-4},
+        material={"friction_wall": ROUGH, "restitution": 0.1, "numerical_softening": 1.0},
+        run={
+            "gravity": (0.0, 0.0, -GRAVITY),
+            "duration": 0.02,
+            "sample_interval": 5e-4,
+            "frame_interval": 5e-4,
+        },
     )
     return Problem(
         name="a box and a disc that spin on the plate",

@@ -112,7 +112,7 @@ def tablet_problem() -> Problem:
     contact = {
         "law": "elastic-plastic",
         "yield_pressure": TABLET_PRESSURE,
-        "impact_speed": speeds[-1],
+        "max_impact_speed": speeds[-1],
     }
     material = {"density": TABLET_DENSITY, "youngs_modulus": TABLET_MODULUS, "restitution": 1.0}
     scene = _impact_scene(TABLET_RADIUS, speeds[0], 1e-3, contact, **material)
@@ -146,7 +146,7 @@ def fruit_problem(law: str) -> Problem:
     or a time of its own.
     """
     radii = sphere_radius(FRUIT_MASSES, FRUIT_DENSITY)
-    contact = {"law": law} | ({"impact_speed": FRUIT_SPEED} if law == "hertz-mindlin" else {})
+    contact = {"law": law} | ({"max_impact_speed": FRUIT_SPEED} if law == "hertz-mindlin" else {})
     material = {"density": FRUIT_DENSITY, "youngs_modulus": 1e6, "restitution": 0.5}
     scene = _impact_scene(float(radii[0]), FRUIT_SPEED, 0.03, contact, **material)
     return Problem(

@@ -45,12 +45,12 @@ def pouring_problem(
             "friction_piece": 0.3,
             "friction_wall": 0.0,
         }
-        | {"rest_damping": 0.2, "softening": softening},
+        | {"rest_damping": 0.2, "numerical_softening": softening},
         run={
             "duration": duration,
-            "sample": 1e-3,
-            "frames": duration,
-            "energy": False,
+            "sample_interval": 1e-3,
+            "frame_interval": duration,
+            "track_energy": False,
             "domain_high": (1.0, 1.0, 10 * height),
         },
     )

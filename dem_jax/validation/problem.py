@@ -83,9 +83,9 @@ def solve_problem(problem: Problem, precision: str = "f64", finer: int = 1) -> S
             scene.replace({key: values[k] for key, values in parameters.items()})
             for k in range(count)
         ]
-        parameters["run.step"] = [_automatic_step(s) / finer for s in each]
+        parameters["run.time_step"] = [_automatic_step(s) / finer for s in each]
     elif finer > 1:
-        scene = scene.replace({"run.step": _automatic_step(scene) / finer})
+        scene = scene.replace({"run.time_step": _automatic_step(scene) / finer})
     if parameters or problem.seeds:
         run = ensemble(scene, problem.seeds, parameters=parameters or None)
     else:

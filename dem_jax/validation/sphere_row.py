@@ -47,17 +47,17 @@ def cradle_problem() -> Problem:
         material={
             "density": DENSITY,
             "youngs_modulus": MODULUS,
-            "softening": SOFT,
+            "numerical_softening": SOFT,
             "restitution": 1.0,
             "friction_piece": 0.0,
             "friction_wall": 0.0,
         },
         run={
             "duration": duration,
-            "sample": duration / 50,
-            "frames": duration,
+            "sample_interval": duration / 50,
+            "frame_interval": duration,
             "gravity": (0.0, 0.0, 0.0),
-            "energy": False,
+            "track_energy": False,
         },
     )
     return Problem(

@@ -54,7 +54,7 @@ def jaws_problem() -> Problem:
     }
     ways = {"left": DEPTH, "right": -DEPTH}
     motions = [
-        {"group": name, "times": TIMES, "ways": [(0, 0, 0), (way, 0, 0), (0, 0, 0)]}
+        {"group": name, "times": TIMES, "displacements": [(0, 0, 0), (way, 0, 0), (0, 0, 0)]}
         for name, way in ways.items()
     ]
     scene = _squeeze_scene(
@@ -64,13 +64,18 @@ def jaws_problem() -> Problem:
         material={
             "density": DENSITY,
             "youngs_modulus": MODULUS,
-            "softening": SOFT,
+            "numerical_softening": SOFT,
             "restitution": EPSILON,
-            "separation": SEPARATION,
+            "separation_slope_ratio": SEPARATION,
             "friction_wall": 0.0,
             "friction_piece": 0.0,
         },
-        run={"duration": TIMES[-1], "sample": 1e-4, "frames": 0.0, "gravity": (0.0, 0.0, 0.0)},
+        run={
+            "duration": TIMES[-1],
+            "sample_interval": 1e-4,
+            "frame_interval": 0.0,
+            "gravity": (0.0, 0.0, 0.0),
+        },
     )
     return Problem(
         name="a sphere between two jaws",
@@ -142,12 +147,12 @@ def flaps_problem() -> Problem:
         material={
             "density": DENSITY,
             "youngs_modulus": MODULUS,
-            "softening": SOFT,
+            "numerical_softening": SOFT,
             "restitution": EPSILON,
             "friction_wall": 0.0,
             "friction_piece": 0.0,
         },
-        run={"duration": 0.08, "sample": 1e-4, "frames": 0.0},
+        run={"duration": 0.08, "sample_interval": 1e-4, "frame_interval": 0.0},
     )
     return Problem(
         name="two flaps that close on a sphere",

@@ -36,9 +36,9 @@ def _resting_scene(
         contact=QUIET_CONTACT,
         run={
             "duration": duration,
-            "sample": duration / 200,
-            "frames": duration / 4,
-            "energy": False,
+            "sample_interval": duration / 200,
+            "frame_interval": duration / 4,
+            "track_energy": False,
         },
     )
 

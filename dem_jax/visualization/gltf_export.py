@@ -35,7 +35,7 @@ def write_gltf(run: Run, path: str | Path) -> Path:
     found = collect_motion(run)
     if found is None:
         raise RecordError(
-            f"{path} cannot be written: the run has no frames; set run.frames to the time between them (s)"
+            f"{path} cannot be written: the run has no frames; set run.frame_interval to the time between them (s)"
         )
     return write_atomically(path, encode_glb(found))
 

@@ -64,7 +64,7 @@ def collect_facts(run: Run) -> dict[str, Facts]:
 def describe_stiffness(run: Run) -> str:
     """Describe the dependence of the peak on Young's modulus and NSF (eqs 5, 7 and 8)."""
     scene = parse_scene(run.scene, "the file's scene")
-    nsf, power = scene.material.softening, STIFFNESS_EXPONENTS[scene.contact.law]
+    nsf, power = scene.material.numerical_softening, STIFFNESS_EXPONENTS[scene.contact.law]
     words = f"E of the pieces is {_describe_moduli(build_material_table(scene))}, and NSF = {nsf:g} multiplies all moduli"
     grows = f"the peak of a single impact grows with the power {power:g} of E · NSF"
     real = (
@@ -80,9 +80,7 @@ def summarize_stiffness(run: Run) -> str:
     impact grows with them.
     """
     scene = parse_scene(run.scene, "the file's scene")
-    words = (
-        f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.softening:g}"
-    )
+    words = f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.numerical_softening:g}"
     if "law" in run.info:  # one of a user's own
         return words
     power = {0.5: "sqrt(E NSF)"}.get(
@@ -96,9 +94,7 @@ def describe_peak_factors(scene: Scene) -> str:
     """E and NSF behind the peaks of a scene, and the factor by which one impact would be harder
     with the product's own modulus.
     """
-    words = (
-        f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.softening:g}"
-    )
+    words = f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.numerical_softening:g}"
     factors = find_peak_factors(scene)
     if factors is None:
         return f"{words}, {_describe_assumed_modulus(scene)}"
@@ -136,7 +132,7 @@ def find_peak_factors(scene: Scene) -> tuple[float, float] | None:
     """
     table, nsf, power = (
         build_material_table(scene),
-        scene.material.softening,
+        scene.material.numerical_softening,
         STIFFNESS_EXPONENTS[scene.contact.law],
     )
     walls = table.youngs_modulus[table.is_wall]
@@ -168,7 +164,7 @@ def describe_peak_band(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
         return "the peak rests on the stiffness of the contact law that was given"
     if factors is None:
         return f"the peak rests on {_describe_assumed_modulus(scene)}"
-    softened = "" if scene.material.softening == 1 else " without softening (NSF = 1)"
+    softened = "" if scene.material.numerical_softening == 1 else " without softening (NSF = 1)"
     which = "the peak" if np.size(peaks) == 1 else "the median peak"
     low, high = (float(np.median(peaks)) * factor for factor in factors)
     return f"band of {which}: {low:.3g} to {high:.3g} kg, as of one impact with a modulus of {_describe_modulus_ranges(scene)}{softened}"
@@ -310,7 +306,7 @@ def _scene_facts(scene: Scene, run: Run) -> Facts:
         if bucket and bucket.panels:
             facts.append((name, bucket.note or "panels as given"))
         elif bucket:
-            mouth = " × ".join(f"{1e3 * edge:g}" for edge in bucket.mouth)
+            mouth = " × ".join(f"{1e3 * edge:g}" for edge in bucket.opening_size)
             flaps = f"flaps {bucket.flap_angle_deg:g}° steep"
             facts.append(
                 (name, f"mouth {mouth} mm, walls {1e3 * bucket.wall_height:g} mm high, {flaps}")
@@ -332,7 +328,7 @@ def _computation_facts(scene: Scene, run: Run) -> Facts:
     seeds = run.seed if isinstance(run.seed, tuple) else (run.seed,)
     runs = "" if run.run_count is None else f"{run.run_count} runs, "
     facts = [
-        ("contact law", f"{scene.contact.law}, NSF = {scene.material.softening:g}"),
+        ("contact law", f"{scene.contact.law}, NSF = {scene.material.numerical_softening:g}"),
         ("time step", f"{1e6 * run.dt:.4g} µs"),
         ("sample time", f"{1e6 * run.sample:.4g} µs"),
         ("duration", f"{run.time[-1]:.4g} s from the release"),

@@ -105,7 +105,7 @@ def render_frames(
     check_format(path, PICTURES + ANIMATIONS)
     if frames is None or not np.isfinite(frames.position).all(axis=-1).any():
         raise RecordError(
-            f"{path} cannot be drawn: the run has no frames; set run.frames to the time between them (s)"
+            f"{path} cannot be drawn: the run has no frames; set run.frame_interval to the time between them (s)"
         )
     if frames.position.ndim != 3:
         raise RecordError(f"{path} cannot be drawn: frames of an ensemble; choose one of its runs")

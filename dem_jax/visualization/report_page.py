@@ -325,7 +325,7 @@ def _describe_unsettled(each: NamedRun) -> str | None:
 
 def _view_html(drawn: Sequence[dict[str, Any]], without: Sequence[str], ensembles: bool) -> str:
     """The player as HTML, with a note on the runs without frames."""
-    words = f"No poses were stored of {', '.join(without)}: set run.frames to the time between them (s) to see the drop."
+    words = f"No poses were stored of {', '.join(without)}: set run.frame_interval to the time between them (s) to see the drop."
     missing = _note_html(words) if without else ""
     if not drawn:
         return missing

@@ -108,6 +108,6 @@ def test_random_scenes_keep_their_invariants(
         {f"material.{k}": v for k, v in {**material, "softening": softening}.items()}
     )
     dt = 6e-6 * size * (density / 300 / softening * 0.01) ** 0.5  # about the automatic step's
-    scene = scene.replace({"run.sample": 16 * dt, "run.duration": 16 * dt * 150})
+    scene = scene.replace({"run.sample_interval": 16 * dt, "run.duration": 16 * dt * 150})
     outcome = tried(Trial("random", lambda: scene))
     assert not outcome.faults, (outcome.faults, outcome.words)

@@ -229,7 +229,7 @@ def write_drops(path, scene, drops, data):
 
 
 def test_drops_that_are_there_are_reused_and_all_is_written(tmp_path, monkeypatch):
-    settings = {"portion.count": 4, "run.duration": LENGTH * SAMPLE, "run.sample": SAMPLE}
+    settings = {"portion.count": 4, "run.duration": LENGTH * SAMPLE, "run.sample_interval": SAMPLE}
     request = ProductRequest("hazelnut", drops=8, settings=settings, model="stub", out="nuts")
     scene, files, said = load_product_scene(request), plan_files(request), []
     write_drops(files.ensemble, scene, 8, portions(8, 3))
@@ -273,7 +273,7 @@ def test_drops_that_are_there_are_reused_and_all_is_written(tmp_path, monkeypatc
 
 
 def test_absurd_parameters_are_not_written_unless_forced(tmp_path, monkeypatch, capsys):
-    settings = {"portion.count": 4, "run.duration": LENGTH * SAMPLE, "run.sample": SAMPLE}
+    settings = {"portion.count": 4, "run.duration": LENGTH * SAMPLE, "run.sample_interval": SAMPLE}
     request = ProductRequest("hazelnut", drops=8, settings=settings, model="stub", out="nuts")
     write_drops(plan_files(request).ensemble, load_product_scene(request), 8, portions(8, 3))
     monkeypatch.setitem(

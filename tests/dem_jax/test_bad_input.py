@@ -24,7 +24,7 @@ SET = [  # --set of plate-drop -> what the line must hold
     ("piece.0.mass=3", r"piece\.0\.mass = 3: unknown key; .*allowed: shape, scale_factor"),
     ("piece.1.radius=3", r"piece\.1\.radius = 3: piece is a list; allowed: piece\.0\.KEY to piece\.0\.KEY"),
     ("piece.0=3", r"piece\.0 = 3: piece is a list"),
-    ("motion.0.start=1", r"motion\.0\.start = 1: motion is a list; allowed: none"),
+    ("motion.0.opening_start=1", r"motion\.0\.opening_start = 1: motion is a list; allowed: none"),
     ("name.x=3", r"name\.x = 3: unknown key; name is a value, not a table"),
     ("name=a/b", r'name = "a/b": allowed: a text that matches'),
     ("material=3", r"material = 3: allowed: a table \[material\]"),
@@ -35,19 +35,19 @@ SET = [  # --set of plate-drop -> what the line must hold
     ("material.restitution=high", r'material\.restitution = "high": allowed: a number > 0 and <= 1'),
     ("material.density=nan", r"material\.density = nan: allowed: a number > 0"),
     ("material.friction_wall=-1", r"material\.friction_wall = -1: allowed: a number >= 0"),
-    ("material.separation=1", r"material\.separation = 1: allowed: a number >= 0 and < 1"),
-    ("material.stiffness_size=width2", r"stiffness_size = .*width2.* allowed: equivalent-diameter"),
-    ("run.step=-1.0", r'run\.step = -1\.0: allowed: "auto" or a number > 0'),
-    ("run.step=automatic", r'run\.step = "automatic": allowed: "auto" or a number > 0'),
-    ("run.step=1e-3", r"run\.step = 0\.001: allowed: at most 3\.\d+e-05 s, the linear stability limit"),
+    ("material.separation_slope_ratio=1", r"material\.separation_slope_ratio = 1: allowed: a number >= 0 and < 1"),
+    ("material.stiffness_length=width2", r"stiffness_size = .*width2.* allowed: equivalent-diameter"),
+    ("run.time_step=-1.0", r'run\.time_step = -1\.0: allowed: "auto" or a number > 0'),
+    ("run.time_step=automatic", r'run\.time_step = "automatic": allowed: "auto" or a number > 0'),
+    ("run.time_step=1e-3", r"run\.time_step = 0\.001: allowed: at most 3\.\d+e-05 s, the linear stability limit"),
     ("run.duration=inf", r"run\.duration = inf: allowed: a number > 0"),
     ("run.duration=true", r"run\.duration = true: allowed: a number > 0"),
     ("run.precision=f16", r'run\.precision = "f16": allowed: "f32" or "f64"'),
     ("run.gravity=[0, -9.81]", r"run\.gravity = \[0, -9\.81\]: allowed: a list of 3, each a number"),
     ('run.gravity=[0, 0, "g"]', r'run\.gravity = \[0, 0, "g"\]: allowed: a list of 3, each a number'),
-    ("run.energy=1", r"run\.energy = 1: allowed: true or false"),
-    ("run.rebuild_steps=0", r"run\.rebuild_steps = 0: allowed: a whole number >= 1"),
-    ("run.rebuild_steps=1.5", r"run\.rebuild_steps = 1\.5: allowed: a whole number >= 1"),
+    ("run.track_energy=1", r"run\.track_energy = 1: allowed: true or false"),
+    ("run.max_rebuild_interval=0", r"run\.max_rebuild_interval = 0: allowed: a whole number >= 1"),
+    ("run.max_rebuild_interval=1.5", r"run\.max_rebuild_interval = 1\.5: allowed: a whole number >= 1"),
     ("run.domain_low=[0, 0, 5]", r"run\.domain_low = .*: allowed: below run\.domain_high"),
     ("run.domain_high=[1, 1, 0.1]", r"piece\.0\.position = .*: outside the domain"),
     ("piece.0.shape=ball", r'piece\.0\.shape = "ball": allowed: "chamfered-cuboid" or "cuboid" or "sphere"'),
@@ -73,13 +73,13 @@ SET = [  # --set of plate-drop -> what the line must hold
 EXTREME = [  # numbers that are finite but that nobody means; --set of plate-drop -> what the line
 # must hold
     ("material.density=1e-31", r"density = 1e-31: allowed: numbers whose size is 1e-30 to 1e\+30, and 0 where that may be"),
-    ("material.softening=1e300", r"softening = 1e\+300: allowed: numbers whose size is"),
+    ("material.numerical_softening=1e300", r"softening = 1e\+300: allowed: numbers whose size is"),
     ("run.gravity=[0, 0, -1e31]", r"gravity = -1e\+31: allowed: numbers whose size is"),
-    ("run.rebuild_steps=1000000000000", r"rebuild_steps = 1000000000000: allowed: a whole number >= 1 and <= 65536"),
+    ("run.max_rebuild_interval=1000000000000", r"rebuild_steps = 1000000000000: allowed: a whole number >= 1 and <= 65536"),
     (f"piece.0.max_parts=1{400 * '0'}", r"max_parts = a large whole number: allowed"),
     ("material.density=1e-20", r"[\d.e+]+ steps of [\d.e-]+ s; allowed: at most 2\.1\d+e\+09; .* is material\.density = 1e-20"),
     ("run.duration=1e9", r"steps of .*furthest from what is usual is run\.duration = 1e\+09"),
-    ("run.sample=1e-20", r"steps of .*furthest from what is usual is run\.sample = 1e-20"),
+    ("run.sample_interval=1e-20", r"steps of .*furthest from what is usual is run\.sample_interval = 1e-20"),
     ("piece.0.scale_factor=1e20", r"pieces\.mass is beyond the numbers of single precision; .* is piece\.0\.scale_factor = 1e\+20"),
     ("piece.0.size=[1e30, 0.02, 0.02]", r"no numbers to compute with \(.*\); .* is piece\.0\.size = 1e\+30"),
     ('piece=[{shape="cuboid", size=[1e-300, 1, 1], position=[0, 0, 9]}]', r"size\[0\] = 1e-300 must be .* cube is more than 0"),
@@ -104,7 +104,7 @@ TOML = [  # a scene file -> what the line must hold
     ("[portion]\ncount = 0", r"portion\.count = 0: allowed: a whole number >= 1"),
     ('base = "plate-drop"\n[[motion]]\ngroup = "plat"', r"motion\.group = 'plat': no wall has this group"),
     ('base = "plate-drop"\n[[motion]]\ngroup = "plate"\naxis = [0,0,0]', r"motion\.axis = .*: allowed: a vector that"),
-    ('base = "plate-drop"\n[[motion]]\nstart = 1', r"motion\.0\.group: missing; it must be given: a text"),
+    ('base = "plate-drop"\n[[motion]]\nopening_start = 1', r"motion\.0\.group: missing; it must be given: a text"),
     ('base = "plate-drop"\n[[wall]]\ngroup = "w"', r"wall 'w': corners, stl: exactly one of the two"),
     ('base = "plate-drop"\n[[wall]]\ngroup = "w"\nstl = "gone.stl"', r"wall\.0\.stl = '.*gone\.stl': there is no"),
     ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "open.stl"', r"piece\.0\.stl = '.*open\.stl' is an open m"),
@@ -116,7 +116,7 @@ TOML = [  # a scene file -> what the line must hold
     ("x = " + 5000 * "1", r"scene\.toml: not valid TOML"),
     ('base = "weigh-bucket"\n[portion]\ntarget_weight = 1e9', r"pieces; allowed: .* 1e\+06; .* portion\.target_weight = 1e\+09"),
     ('base = "weigh-bucket"\n[portion]\nscale_factor = 1e-6', r"pieces; allowed: .* 1e\+06; .* portion\.scale_factor = 1e-06"),
-    ('[weigh_bucket]\nmouth = [0.1]\n[portion]', r"weigh_bucket\.mouth = \[0\.1\]: allowed: a list of 2, each a"),
+    ('[weigh_bucket]\nopening_size = [0.1]\n[portion]', r"weigh_bucket\.opening_size = \[0\.1\]: allowed: a list of 2, each a"),
 ]  # fmt: skip
 
 COMMANDS = [  # a command -> what the line must hold
@@ -127,7 +127,7 @@ COMMANDS = [  # a command -> what the line must hold
     (["run", "--resume", "gone.h5"], r"gone\.h5: there is no such file"),
     (["run", "--resume", "cut.h5"], r"cut\.h5"),
     (["run", "--resume", "text.stl"], r"text\.stl is not an HDF5 file"),
-    (["run", "--resume", "x.h5", "--set", "run.step=1"], r"allowed beside it: --duration"),
+    (["run", "--resume", "x.h5", "--set", "run.time_step=1"], r"allowed beside it: --duration"),
     (["run", "plate-drop", "--out", "whole.h5"], r"whole\.h5 exists; allowed: another name by --out, or --overwrite to replace it"),
     (["run", "plate-drop", "--out", "x.csv"], r"--out x\.csv: results are HDF5; .* python -m dem_jax export makes \.csv"),
     (["export", "whole.h5", "--out", "x.txt"], r"x\.txt must end in one of: \.csv, \.xlsx"),
@@ -146,7 +146,7 @@ COMMANDS = [  # a command -> what the line must hold
     (["report", "whole.h5", "--group", "wb"], r"--group wb: whole has no such group; allowed: plate"),
     (["plot", "whole.h5", "--out", "a.xls"], r"a\.xls must end in one of: \.png"),
     (["render", "gone.h5"], r"gone\.h5: there is no such file"),
-    (["render", "whole.h5"], r"the run has no frames; set run\.frames"),
+    (["render", "whole.h5"], r"the run has no frames; set run\.frame_interval"),
     (["render", "whole.h5", "--run", "1"], r"--run 1: whole\.h5 holds a single run"),
     (["render", "whole.h5", "--strip", "a,b"], r"--strip: 'a,b': allowed: a number of instants"),
     (["vtk", "whole.h5"], r"the run has no frames"),
@@ -162,7 +162,7 @@ def whole(tmp_path_factory):
     scene = {
         "piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.1]}],
         "run.duration": 1e-3,
-        "run.frames": 0,
+        "run.frame_interval": 0,
     }
     dem_jax.simulate(dem_jax.load_scene("plate-drop", scene), out=path)
     return path
@@ -249,11 +249,11 @@ def test_as_a_process(tmp_path):
 def test_a_run_whose_numbers_overflow_stops(whole):
     """Energies of a contact that is next to nothing stiff are infinite; nothing else would show it."""
     scene = parse_scene(dem_jax.load_run(whole).scene)
-    expected = (
-        r"at t = 3e-05 s: energy not finite; likely cause: .* usual is material\.softening = 1e-30"
-    )
+    expected = r"at t = 3e-05 s: energy not finite; likely cause: .* usual is material\.numerical_softening = 1e-30"
     with pytest.raises(dem_jax.SimulationError, match=expected) as caught:
-        dem_jax.simulate(scene.replace({"material.softening": 1e-30, "run.duration": 9e-5}))
+        dem_jax.simulate(
+            scene.replace({"material.numerical_softening": 1e-30, "run.duration": 9e-5})
+        )
     assert "\n" not in str(caught.value)
 
 
@@ -275,7 +275,7 @@ def test_a_force_that_is_not_finite_is_found(runs):
 def test_frames_that_are_rarer_than_the_run_is_long(whole):
     scene = parse_scene(dem_jax.load_run(whole).scene)
     assert dem_jax.simulate(
-        scene.replace({"run.frames": 1e5, "run.duration": 9e-5})
+        scene.replace({"run.frame_interval": 1e5, "run.duration": 9e-5})
     ).pieces.time.tolist() == [0.0]
 
 

@@ -28,7 +28,9 @@ def heap():
         position = (0.056 * (k % 4) + 0.01 * layer, 0.0245 * (k // 4 % 3), 0.0082 + 0.021 * layer)
         speed = (0.05 * (k % 3), 0.04 * (k % 4), -0.2 - 0.3 * layer)
         pieces.append({"position": position, "orientation": orientation, "velocity": speed})
-    return load_scene("plate-drop").replace(piece=pieces, run={"precision": "f64", "frames": 0.0})
+    return load_scene("plate-drop").replace(
+        piece=pieces, run={"precision": "f64", "frame_interval": 0.0}
+    )
 
 
 def high():
@@ -47,7 +49,9 @@ def high():
             "angular_velocity": (0.0, 10.0, 30.0),
         },
     ]
-    return load_scene("plate-drop").replace(piece=pieces, run={"precision": "f64", "frames": 0.0})
+    return load_scene("plate-drop").replace(
+        piece=pieces, run={"precision": "f64", "frame_interval": 0.0}
+    )
 
 
 def tubes():
@@ -78,7 +82,7 @@ def tubes():
     scene = load_scene("plate-drop").replace(
         piece=[tube | at for at in (*upright, leaning)], wall=wall
     )
-    return scene.replace(run={"precision": "f64", "frames": 0.0})
+    return scene.replace(run={"precision": "f64", "frame_interval": 0.0})
 
 
 def roomy(made, slot_block):

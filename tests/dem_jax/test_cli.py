@@ -23,7 +23,7 @@ radius = 0.01
 position = [0, 0, 0.012]
 [run]
 duration = 0.03
-frames = 2e-3
+frame_interval = 2e-3
 """
 
 

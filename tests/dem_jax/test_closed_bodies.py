@@ -172,7 +172,7 @@ def test_a_piece_in_a_tray_of_sheet_does_what_it_does_on_a_panel(piece, tmp_path
     }
     run = {"precision": "f64", "duration": 0.5, "energy": False}
     still = load_scene("plate-drop").replace(
-        block=[], material={"rest_damping": 0.2}, run=run, piece=[piece]
+        region=[], material={"rest_damping": 0.2}, run=run, piece=[piece]
     )
     sheet, panel = (
         dem_jax.simulate(still.replace(wall=[{"group": "plate", **wall}]))

@@ -32,7 +32,9 @@ def built(law, shape="sphere", ratio=1.0, reach=RANGE):
     material = {"restitution": 0.5, "pull_off": PULL_OFF}
     scene = validation.plate_scene(PIECES[shape][0], **material)
     return assembly.assemble_system(
-        scene.replace(contact={"law": law, "cohesion": {"range": reach, "stiffness": ratio}})
+        scene.replace(
+            contact={"law": law, "cohesion": {"interaction_range": reach, "stiffness": ratio}}
+        )
     )
 
 
@@ -120,7 +122,7 @@ def pair_of_spheres(law):
             piece=pieces,
             run=run,
             material=material,
-            contact={"law": law, "cohesion": {"range": RANGE}},
+            contact={"law": law, "cohesion": {"interaction_range": RANGE}},
         )
     )
 

@@ -44,7 +44,12 @@ def scene(statistics=ASKED, duration=0.15, **run):
         wall=[{"group": "floor", "corners": low}, {"group": "roof", "corners": high[::-1]}],
         material={"restitution": EPSILON, "friction_wall": 0.0, "friction_piece": 0.0},
         contact={"law": "linear-dashpot"},
-        run={"precision": "f64", "gravity": (0.0, 0.0, 0.0), "frames": 1e-3, "duration": duration}
+        run={
+            "precision": "f64",
+            "gravity": (0.0, 0.0, 0.0),
+            "frame_interval": 1e-3,
+            "duration": duration,
+        }
         | run,
         statistics=statistics,
     )
@@ -113,7 +118,7 @@ def test_the_maps_have_it_where_it_happened():
 
 def test_slow_touches_are_not_counted_but_do_their_work():
     run = to_and_fro()
-    slow = dem_jax.simulate(scene(statistics=ASKED | {"slowest": 1.5, "fastest": 1.7}))
+    slow = dem_jax.simulate(scene(statistics=ASKED | {"min_speed": 1.5, "max_speed": 1.7}))
     fast = (flown(run)[:-1] >= 1.5).sum()
     assert slow.collisions["floor"][-1] + slow.collisions["roof"][-1] == fast == 2
     assert (
@@ -166,8 +171,8 @@ def drop(**run):
     return Scene(
         piece=[{"shape": "cuboid", "size": (0.03, 0.02, 0.015)} | askew],
         weigh_bucket={"opening_start": 0.03, "load_cell": {"mass": 0.2, "natural_frequency": 60.0}},
-        run={"precision": "f64", "duration": 0.09, "frames": 0.0} | run,
-        statistics={"cells": 8},
+        run={"precision": "f64", "duration": 0.09, "frame_interval": 0.0} | run,
+        statistics={"map_resolution": 8},
     )
 
 
@@ -213,7 +218,7 @@ def test_the_command_prints_and_draws(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"cells": 0}, "statistics.cells"),
+        ({"cells": 0}, "statistics.map_resolution"),
         ({"fastest": 0.005}, "slowest = 0.01: allowed: below fastest"),
         ({"bins": 3}, "bins"),
     ],

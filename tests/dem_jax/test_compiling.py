@@ -30,10 +30,10 @@ SAME_PROGRAM = {
     "drop height": {"drop.height": 0.4},
     "density": {"material.density": 250.0},
     "restitution and its time step": {"material.restitution": 0.3},
-    "softening and its time step": {"material.softening": 0.02},
+    "softening and its time step": {"material.numerical_softening": 0.02},
     "friction": {"material.friction_piece": 0.5},
     "flap timing": {"feed_bucket.opening_time": 0.1, "feed_bucket.opening_start": 0.01},
-    "sample interval": {"run.sample": 6e-5},
+    "sample interval": {"run.sample_interval": 6e-5},
     "duration": {"run.duration": 1.2e-3},
 }
 

@@ -270,7 +270,7 @@ def test_runs_side_by_side_are_those_alone():
             "count": 3,
             "arrangement": "scattered",
         },
-        run={"precision": "f64", "duration": 0.02, "frames": 0.0},
+        run={"precision": "f64", "duration": 0.02, "frame_interval": 0.0},
     )
     many = ensemble(scene, runs=16, seed=3)
     alone = simulate(scene, seed=3 + 5)

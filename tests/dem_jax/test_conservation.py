@@ -144,7 +144,7 @@ def tumbling(precision):
         "velocity": (0.5, 0.2, -1.5),
         "angular_velocity": (5.0, -8.0, 3.0),
     }
-    settings = {"run.precision": precision, "run.sample": 1e-4, "run.frames": 0.0}
+    settings = {"run.precision": precision, "run.sample_interval": 1e-4, "run.frame_interval": 0.0}
     return load_scene("plate-drop", settings).replace({"piece": (piece,)})
 
 

@@ -86,7 +86,7 @@ def test_an_l_is_cut_in_two_that_continue_each_other(bent):
 
 @needs_coacd
 def test_a_ring_keeps_the_mass_of_its_mesh_and_says_what_its_parts_lose(ring):
-    shape, found = shapes.make_decomposed_shape(ring, max_corners=128)
+    shape, found = shapes.make_decomposed_shape(ring, max_vertices=128)
     mesh = trimesh.load_mesh(ring)
     assert shape.volume == pytest.approx(mesh.volume, rel=SINGLE)
     polar = mesh.moment_inertia[2, 2] / mesh.volume
@@ -97,7 +97,7 @@ def test_a_ring_keeps_the_mass_of_its_mesh_and_says_what_its_parts_lose(ring):
     assert 0 < found.volume_excess < 0.05 and 0 < found.surface_distance < 0.05 * found.size
     hole = shape.vertices[:, :2]
     assert np.linalg.norm(hole, axis=1).min() > 0.0195  # corners of parts are points of the mesh
-    finer = shapes.decompose_mesh(ring, concavity=0.02, max_parts=24, max_corners=128)
+    finer = shapes.decompose_mesh(ring, concavity=0.02, max_parts=24, max_vertices=128)
     assert len(finer.points) > len(found.points)
     assert (
         finer.volume_excess < found.volume_excess
@@ -107,9 +107,9 @@ def test_a_ring_keeps_the_mass_of_its_mesh_and_says_what_its_parts_lose(ring):
 
 @needs_coacd
 def test_the_same_file_is_cut_the_same_way(ring, tmp_path, monkeypatch):
-    first = shapes.decompose_mesh(ring, max_parts=8, loss=1.0)
+    first = shapes.decompose_mesh(ring, max_parts=8, max_volume_loss=1.0)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    second = shapes.decompose_mesh(ring, max_parts=8, loss=1.0)
+    second = shapes.decompose_mesh(ring, max_parts=8, max_volume_loss=1.0)
     assert len(first.points) == 8
     assert first.mass.volume == pytest.approx(trimesh.load_mesh(ring).volume, rel=SINGLE)
     for a, b in zip(first.points, second.points, strict=True):
@@ -130,7 +130,7 @@ def test_a_loss_above_what_is_allowed_is_refused(ring):
         SceneError,
         match=r"ring\.stl' is lost in part .* 2 convex parts, volume \+.*loss = 0\.05 is allowed",
     ):
-        shapes.decompose_mesh(ring, max_parts=2, loss=0.05)
+        shapes.decompose_mesh(ring, max_parts=2, max_volume_loss=0.05)
 
 
 def test_without_coacd_it_is_said_what_to_install(bent, tmp_path, monkeypatch):
@@ -147,7 +147,7 @@ def test_bad_input_is_refused(bent, tmp_path):
     with pytest.raises(SceneError, match=r"concavity = 0\.001 must be a number from 0\.01 to 1"):
         shapes.decompose_mesh(bent, concavity=0.001)
     with pytest.raises(SceneError, match=r"loss = 0 must be a positive"):
-        shapes.decompose_mesh(bent, loss=0)
+        shapes.decompose_mesh(bent, max_volume_loss=0)
     opened = trimesh.load_mesh(bent)
     opened.update_faces(np.arange(len(opened.faces)) > len(opened.faces) // 2)
     opened.export(tmp_path / "open.stl")
@@ -205,7 +205,8 @@ def test_an_l_falls_and_comes_to_rest(bent):
         "orientation": turn,
     }
     scene = load_scene(
-        "plate-drop", {"run.precision": "f64", "run.sample": 1e-3, "run.frames": 0.0}
+        "plate-drop",
+        {"run.precision": "f64", "run.sample_interval": 1e-3, "run.frame_interval": 0.0},
     ).replace(
         piece=[piece],
         material={"unloading_damping": 0.2, "restitution": 0.7},

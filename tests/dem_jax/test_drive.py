@@ -215,7 +215,7 @@ def test_steps_that_a_look_at_hulls_interrupts_swing_the_flap_once(monkeypatch):
         "points": tuple(map(tuple, points.tolist())),
         "position": (0.0, 0.0, 0.014),
     }
-    hit = scene(duration=0.05, motion={"closing": 0.03}).replace(
+    hit = scene(duration=0.05, motion={"closing_time": 0.03}).replace(
         piece=[hull | {"angular_velocity": (0.0, 0.0, 300.0)}]
     )
     kept = dem_jax.simulate(hit)
@@ -246,7 +246,7 @@ def test_flaps_that_are_shut_are_locked_and_open_under_their_load():
     """Of a weigh bucket whose drives could not hold what lands on it."""
     flaps = {"opening_angle_deg": 65.0, "opening_start": 0.5, "drive": {"torque": 2e-3}}
     scene = dem_jax.load_scene("quick-release").replace(
-        {"run.escape": "note", "run.duration": 1.2, "run.frames": 0.0}
+        {"run.on_escape": "warn", "run.duration": 1.2, "run.frame_interval": 0.0}
     )
     run = dem_jax.simulate(
         scene.replace({f"weigh_bucket.{key}": value for key, value in flaps.items()})

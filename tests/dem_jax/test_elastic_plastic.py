@@ -137,7 +137,7 @@ def test_the_step_of_a_scene_resolves_unloading():
     own = {
         "contact.law": "elastic-plastic",
         "contact.yield_pressure": 2e6,
-        "contact.impact_speed": 3.0,
+        "contact.max_impact_speed": 3.0,
     }
     made = assembly.assemble_system(load_scene("plate-drop", own))
     assert made.step.dt <= made.step.stable and np.isfinite(made.step.dt)

@@ -104,7 +104,9 @@ def test_a_run_counts_what_moves_when_it_ends():
         {**PIECES[1], "position": [0.0, 0.0, 0.0101]},
         {**PIECES[1], "position": [0.1, 0.0, 0.2]},
     ]
-    scene = SCENE.replace(piece=pieces, run={"duration": 0.05, "sample": 1e-3, "frames": 0.0})
+    scene = SCENE.replace(
+        piece=pieces, run={"duration": 0.05, "sample_interval": 1e-3, "frame_interval": 0.0}
+    )
     run = dem_jax.simulate(scene)
     assert run.info["moving"] == {"plate": 1} and find_rest(
         run, "plate", "plate"
@@ -269,7 +271,7 @@ def test_the_band_of_a_peak_is_that_of_the_product_s_own_modulus():
     named = {
         "material.youngs_modulus": 1e7,
         "material.youngs_modulus_range": [1e7, 4e7],
-        "material.softening": 1.0,
+        "material.numerical_softening": 1.0,
     }
     assert find_peak_factors(scene.replace(named)) == pytest.approx((1.0, 2.0), rel=1e-3)
     assert find_peak_factors(load_scene("weigh-bucket")) is None
@@ -305,7 +307,7 @@ def test_the_summary_says_what_a_peak_rests_on():
     [
         (
             "plate-drop",
-            {"run.sample": 1.0},
+            {"run.sample_interval": 1.0},
             r"run: sample = 1: longer than run\.duration = 0\.3; allowed: at most the duration",
         ),
         (
@@ -315,10 +317,14 @@ def test_the_summary_says_what_a_peak_rests_on():
         ),
         (
             "weigh-bucket",
-            {"run.sample": 0.6},
-            r"run\.sample = 0\.6: longer than portion\.settling_time = 0\.5",
+            {"run.sample_interval": 0.6},
+            r"run\.sample_interval = 0\.6: longer than portion\.settling_time = 0\.5",
         ),
-        ("weighing-cycles", {"run.sample": 0.1}, r"run\.sample = 0\.1: longer than inlet\.every"),
+        (
+            "weighing-cycles",
+            {"run.sample_interval": 0.1},
+            r"run\.sample_interval = 0\.1: longer than inlet\.interval",
+        ),
     ],
 )
 def test_a_sample_is_no_longer_than_what_is_counted_in_samples(scene, changes, words):
@@ -331,24 +337,28 @@ def test_times_that_are_rounded_are_noted():
 
     notes = lambda changes: prepare_job(load_scene("plate-drop", changes), [0], None).notes
     assert not notes({})
-    *_, said_of = notes({"run.duration": 1e-3, "run.sample": 4e-4, "run.frames": 0.0})
+    *_, said_of = notes(
+        {"run.duration": 1e-3, "run.sample_interval": 4e-4, "run.frame_interval": 0.0}
+    )
     assert (
         said_of
-        == "run.duration = 0.001 s is no multiple of run.sample = 0.0004 s: the run has 2 samples and ends at 0.0008 s"
+        == "run.duration = 0.001 s is no multiple of run.sample_interval = 0.0004 s: the run has 2 samples and ends at 0.0008 s"
     )
-    (said_of,) = notes({"run.frames": 2.0})
+    (said_of,) = notes({"run.frame_interval": 2.0})
     assert (
         said_of
-        == "run.frames = 2 s is longer than run.duration = 0.3 s: only the first pose is stored"
+        == "run.frame_interval = 2 s is longer than run.duration = 0.3 s: only the first pose is stored"
     )
-    (said_of,) = notes({"run.frames": 1e-5})
+    (said_of,) = notes({"run.frame_interval": 1e-5})
     assert (
         said_of
-        == "run.frames = 1e-05 s is no multiple of run.sample = 3e-05 s: poses are stored every 3e-05 s"
+        == "run.frame_interval = 1e-05 s is no multiple of run.sample_interval = 3e-05 s: poses are stored every 3e-05 s"
     )
-    (said_of,) = notes({"run.step": 7e-6, "run.sample": 6e-6, "run.frames": 0.0})
+    (said_of,) = notes(
+        {"run.time_step": 7e-6, "run.sample_interval": 6e-6, "run.frame_interval": 0.0}
+    )
     assert said_of.startswith(
-        "run.step = 7e-06 s is longer than run.sample = 6e-06 s: no step is longer than a sample"
+        "run.time_step = 7e-06 s is longer than run.sample_interval = 6e-06 s: no step is longer than a sample"
     )
 
 

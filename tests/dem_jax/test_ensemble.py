@@ -37,7 +37,7 @@ def scattered(**changes):
             "region_low": [-0.05, -0.05, 0.0], "region_high": [0.05, 0.05, 0.1],
         },
         "piece": [], "name": "scattered",
-        "run.precision": "f64", "run.duration": 0.02, "run.sample": 2e-5, "run.frames": 7e-4,
+        "run.precision": "f64", "run.duration": 0.02, "run.sample_interval": 2e-5, "run.frame_interval": 7e-4,
     }  # fmt: skip
     return dem_jax.load_scene("plate-drop", base | changes)
 

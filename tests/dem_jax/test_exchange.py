@@ -34,12 +34,17 @@ def ramp(**sections):
     sections = {
         "portion": BALLS | {"region_low": (-0.05, -0.05, 0.12), "region_high": (0.05, 0.05, 0.2)},
         "inlet": INLET,
-        "outlet": {"below": -0.05},
-        "run": {"duration": 1.2, "sample": 2e-4, "frames": 0.05, "precision": "f64"},
-        "material": {"softening": 1e-3, "restitution": 0.5},
+        "outlet": {"z_max": -0.05},
+        "run": {
+            "duration": 1.2,
+            "sample_interval": 2e-4,
+            "frame_interval": 0.05,
+            "precision": "f64",
+        },
+        "material": {"numerical_softening": 1e-3, "restitution": 0.5},
     } | sections
     return load_scene("plate-drop").replace(
-        name="ramp", piece=[], block=[], wall=[RAMP], **sections
+        name="ramp", piece=[], region=[], wall=[RAMP], **sections
     )
 
 
@@ -92,7 +97,7 @@ def test_the_inlet_keeps_its_rate_where_pieces_wait_and_says_so_where_none_do(ru
     due = INLET["mass_rate"] * run.time[run.time < 0.3]
     assert first.max() <= due.max() + heaviest
     assert any(
-        "the inlet brings less than inlet.mass_rate: no piece waits (inlet.waiting)" in note
+        "the inlet brings less than inlet.mass_rate: no piece waits (inlet.reservoir)" in note
         for note in run.info["notes"]
     )
 
@@ -114,7 +119,14 @@ def test_new_pieces_begin_within_the_inlet_and_touch_no_other(run):
 def test_going_on_gives_the_same_bits(run, tmp_path):
     out = tmp_path / "part.h5"
     dem_jax.simulate(
-        ramp(run={"duration": 0.57, "sample": 2e-4, "frames": 0.05, "precision": "f64"}),
+        ramp(
+            run={
+                "duration": 0.57,
+                "sample_interval": 2e-4,
+                "frame_interval": 0.05,
+                "precision": "f64",
+            }
+        ),
         seed=1,
         out=out,
     )
@@ -162,15 +174,15 @@ def test_what_is_left_open_follows_from_the_scene():
         ({"inlet": INLET | {"end": 0.5, "start": 0.6}}, r"end = 0\.5: allowed: after start = 0\.6"),
         (
             {"inlet": {"mass_rate": 0.1}},
-            r"\[inlet\] needs a \[portion\], and a \[feed_bucket\] or inlet\.low and inlet\.high",
+            r"\[inlet\] needs a \[portion\], and a \[feed_bucket\] or inlet\.box_low and inlet\.box_high",
         ),
-        ({"inlet": INLET | {"high": (0.1, 0.0, 0.1)}}, r"low = .*: allowed: not above high"),
+        ({"inlet": INLET | {"box_high": (0.1, 0.0, 0.1)}}, r"low = .*: allowed: not above high"),
         (
-            {"inlet": {"mass_rate": 0.1, "low": (0, 0, 0)}},
+            {"inlet": {"mass_rate": 0.1, "box_low": (0, 0, 0)}},
             r"high: missing; allowed: both corners, or none",
         ),
         (
-            {"inlet": INLET | {"high": (-0.05, -0.04, 0.3)}},
+            {"inlet": INLET | {"box_high": (-0.05, -0.04, 0.3)}},
             r"a box of 0\.01 m along y; allowed: at least 0\.02",
         ),
         (

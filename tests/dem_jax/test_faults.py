@@ -26,7 +26,7 @@ SCENE = [
     "--set",
     'piece=[{shape="sphere", radius=0.01, position=[0, 0, 0.0105]}]',
     "--set",
-    "run.frames=0",
+    "run.frame_interval=0",
 ]
 SHORT = [*SCENE, "--set", "run.duration=0.03", "--quiet", "--no-plot"]
 REPOSITORY = Path(__file__).resolve().parents[2]

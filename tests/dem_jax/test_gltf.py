@@ -103,7 +103,7 @@ def test_pieces_of_one_shape_share_it(tmp_path):
 def test_the_command_and_what_cannot_be(tmp_path, capsys):
     with pytest.raises(RecordError, match=r"must end in one of: \.glb"):
         write_gltf(stored(), "a.obj")
-    with pytest.raises(RecordError, match="has no frames; set run.frames"):
+    with pytest.raises(RecordError, match="has no frames; set run.frame_interval"):
         write_gltf(stored(frames=0), "a.glb")
     run = stored()
     run.save("drop.h5")

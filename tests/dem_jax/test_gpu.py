@@ -18,7 +18,8 @@ pytestmark = pytest.mark.skipif(jax.default_backend() == "cpu", reason="needs a 
 
 SEEDS = [3, 4]
 DROP = {  # until some milliseconds after the first piece has landed
-    "portion.settling_time": 0.1, "run.duration": 0.16, "run.precision": "f64", "material.softening": 0.001, "run.frames": 0.0,
+    "portion.settling_time": 0.1, "run.duration": 0.16, "run.precision": "f64", "material.numerical_softening": 0.001,
+    "run.frame_interval": 0.0,
 }  # fmt: skip
 ROUNDING = 1e-6  # of the largest: of differences in the last bit, which collisions amplify
 

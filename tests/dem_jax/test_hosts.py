@@ -57,7 +57,7 @@ def go(key="name", value="short", **kw):
 wrong = {
     "exists": go(out="there.h5" if mine else "other.h5"),
     "differs": go("material.restitution", 0.2 if mine else 0.3),
-    "unknown": go("run.step", "auto" if mine else 1.0),
+    "unknown": go("run.time_step", "auto" if mine else 1.0),
 }
 executors.run_threaded = lambda *a: counted(*a) if mine else 1 / 0
 wrong["computing"] = go()
@@ -92,7 +92,8 @@ SCENE = {
         "region_low": [-0.05, -0.05, 0.0], "region_high": [0.05, 0.05, 0.1],
     },
     "piece": [], "name": "scattered", "run.until_settled": True, "run.settled_time": 4e-3, "run.domain_low": [-9, -9, -9],
-    "run.precision": "f64", "run.duration": 0.05, "run.sample": 2e-5, "run.frames": 7e-4, "material.softening": 0.1,
+    "run.precision": "f64", "run.duration": 0.05, "run.sample_interval": 2e-5, "run.frame_interval": 7e-4,
+    "material.numerical_softening": 0.1,
 }  # fmt: skip
 
 
@@ -168,7 +169,7 @@ def test_what_goes_wrong_in_one_process_stops_both(two):
         "process 1 has another scene, seed or number of runs than process 0"
     )
     assert wrong["unknown"][0] == "SceneError" and wrong["unknown"][1].startswith(
-        "run.step = 1: allowed: at most"
+        "run.time_step = 1: allowed: at most"
     )
     assert wrong["computing"] == ("ZeroDivisionError", "division by zero")
     assert wrong["writing"] == ("RecordError", "no room")

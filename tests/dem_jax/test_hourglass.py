@@ -13,7 +13,12 @@ PIECE = 5.832e-3  # kg
 
 def drop(**changes):
     """Nine marshmallows; all scenes share one program."""
-    common = {"run.duration": 1.0, "run.frames": 0.0, "run.energy": False, "run.escape": "note"}
+    common = {
+        "run.duration": 1.0,
+        "run.frame_interval": 0.0,
+        "run.track_energy": False,
+        "run.on_escape": "warn",
+    }
     return dem_jax.simulate(dem_jax.load_scene("quick-release").replace(common | changes))
 
 
@@ -32,7 +37,7 @@ def test_a_piece_that_stays_wedged_is_borne_by_the_feed_bucket():
     """But for what slows down pieces that still move, as the momentum of all says. Wedged ones
     rock: at 1 cm/s, which is what a change of momentum of 0.5 % of the weight in 0.4 s amounts to.
     """
-    run = drop(**{"feed_bucket.opening_angle_deg": 12.0, "feed_bucket.open_dwell": 1.0})
+    run = drop(**{"feed_bucket.opening_angle_deg": 12.0, "feed_bucket.hold_time": 1.0})
     feed, weigh = (
         sum(borne(run, f"{name}_{part}", 0.4) for part in ("walls", "flaps"))
         for name in ("fb", "wb")
@@ -65,7 +70,7 @@ def test_what_runs_over_is_noted_and_the_bucket_bears_the_rest():
 
 EARLY = {
     "feed_bucket.opening_time": 0.06,
-    "feed_bucket.open_dwell": 0.03,
+    "feed_bucket.hold_time": 0.03,
     "feed_bucket.closing_time": 0.06,
 }
 

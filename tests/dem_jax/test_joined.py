@@ -63,10 +63,20 @@ def scene(duration=0.012):
         piece=pieces,
         wall=[{"group": "floor", "corners": FLOOR}, {"group": "side", "corners": SIDE}],
         motion=[
-            {"group": "floor", "stroke": (5e-4, 0.0, 2e-4), "frequency": 60.0, "shake_ramp": 1e-3}
+            {
+                "group": "floor",
+                "stroke": (5e-4, 0.0, 2e-4),
+                "frequency": 60.0,
+                "vibration_ramp": 1e-3,
+            }
         ],
-        block=[{"name": "box", "low": (-SIZE, -SIZE, 0.0), "high": (SIZE, SIZE, 0.1)}],
-        run={"precision": "f64", "sample": 3e-5, "duration": duration, "frames": 3e-3},
+        region=[{"name": "box", "low": (-SIZE, -SIZE, 0.0), "high": (SIZE, SIZE, 0.1)}],
+        run={
+            "precision": "f64",
+            "sample_interval": 3e-5,
+            "duration": duration,
+            "frame_interval": 3e-3,
+        },
     )
 
 
@@ -162,8 +172,8 @@ def balls():
         portion={"shape": "sphere", "radius": 0.01, "count": 2, "arrangement": "scattered"}
         | region,
         wall=[{"group": "floor", "corners": FLOOR}, {"group": "side", "corners": SIDE}],
-        block=[{"name": "box", "low": (-SIZE, -SIZE, 0.0), "high": (SIZE, SIZE, 0.1)}],
-        run={"precision": "f64", "sample": 3e-5, "duration": 0.02, "frames": 3e-3},
+        region=[{"name": "box", "low": (-SIZE, -SIZE, 0.0), "high": (SIZE, SIZE, 0.1)}],
+        run={"precision": "f64", "sample_interval": 3e-5, "duration": 0.02, "frame_interval": 3e-3},
     )
 
 

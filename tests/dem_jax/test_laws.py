@@ -159,7 +159,7 @@ def test_the_default_step_gives_the_restitution_within_a_percent(law, precision)
                 contact={"law": law, **_speed(law)}
             )
             dt = assembly.assemble_system(
-                scene.replace(run={"sample": 1e-2, "precision": precision})
+                scene.replace(run={"sample_interval": 1e-2, "precision": precision})
             ).step.dt
             out = run(
                 made, "sphere", [(dt, e, 0.0, p, SPEED, 0.0) for p in np.linspace(0.1, 1, 8)]

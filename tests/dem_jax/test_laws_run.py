@@ -171,7 +171,7 @@ def test_runs_side_by_side_equal_single_ones(law):
         wall=walls,
         material={"pull_off": 0.05},
         contact={"law": law},
-        run={"duration": 0.06, "precision": "f64", "frames": 0.0, "sample": 1e-4},
+        run={"duration": 0.06, "precision": "f64", "frame_interval": 0.0, "sample_interval": 1e-4},
     )
     runs = dem_jax.ensemble(scene, runs=16)
     for seed in (0, 15):
@@ -278,23 +278,26 @@ MISTAKES = [
         r'contact\.law = "hertz": allowed: "walton-braun" or "linear-dashpot" or "hertz-mindlin"',
     ),
     (
-        {"contact.impact_speed": 3.0},
-        r'contact\.impact_speed = 3: law "walton-braun" has no such key; allowed: with law "hertz-m',
+        {"contact.max_impact_speed": 3.0},
+        r'contact\.max_impact_speed = 3: law "walton-braun" has no such key; allowed: with law "hertz-m',
     ),
     (
-        {"contact.law": "hertz-mindlin", "material.separation": 0.1},
-        r'material\.separation = 0\.1: law "hertz-mindlin" has no such',
+        {"contact.law": "hertz-mindlin", "material.separation_slope_ratio": 0.1},
+        r'material\.separation_slope_ratio = 0\.1: law "hertz-mindlin" has no such',
     ),
     (
-        {"contact.law": "hertz-mindlin", "material.tangential_stiffness": 0.5},
+        {"contact.law": "hertz-mindlin", "material.tangential_stiffness_ratio": 0.5},
         r'tangential_stiffness = 0\.5: .* allowed: with law "walton-braun" or "linear-dashpot"',
     ),
     (
         {"contact.law": "linear-dashpot", "material.unloading_damping": 0.5},
         r"material\.unloading_damping = 0\.5: law",
     ),
-    ({"contact.impact_speed": 0.0}, r"contact\.impact_speed = 0\.0: allowed: a number > 0"),
-    ({"contact.cohesion.range": -1.0}, r"contact\.cohesion\.range = -1\.0: allowed: a number >= 0"),
+    ({"contact.max_impact_speed": 0.0}, r"contact\.max_impact_speed = 0\.0: allowed: a number > 0"),
+    (
+        {"contact.cohesion.interaction_range": -1.0},
+        r"contact\.cohesion\.interaction_range = -1\.0: allowed: a number >= 0",
+    ),
     (
         {"contact.cohesion.gap": 1.0},
         r"contact\.cohesion\.gap = 1\.0: unknown key; allowed: stiffness, range",

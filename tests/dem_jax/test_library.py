@@ -188,7 +188,7 @@ def test_a_bucket_may_be_a_file_and_stl_files_are_beside_it(tmp_path):
     folder = tmp_path / "parts"
     folder.mkdir()
     (folder / "bucket.toml").write_text(
-        "[weigh_bucket]\nmouth = [0.16, 0.14]\n[drop]\nheight = 0.2\n"
+        "[weigh_bucket]\nopening_size = [0.16, 0.14]\n[drop]\nheight = 0.2\n"
     )
     scene = load_scene("weigh-bucket", {"bucket": "parts/bucket.toml"})
     assert scene.weigh_bucket.mouth == (0.16, 0.14) and scene.drop.height == 0.2

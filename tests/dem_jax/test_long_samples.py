@@ -13,13 +13,13 @@ def test_a_long_sample_interval_has_the_mean_of_the_short_ones():
     short = dem_jax.load_scene("plate-drop").replace(
         {
             "piece": [{"position": (0.0, 0.0, 0.03)}],
-            "run.precision": "f64", "run.duration": 0.16, "run.sample": 1e-4, "run.frames": 0.0,
+            "run.precision": "f64", "run.duration": 0.16, "run.sample_interval": 1e-4, "run.frame_interval": 0.0,
         }
     )  # fmt: skip
     made = assembly.assemble_system(short, 0)
     dt = made.step.dt
     many = 61 * 40 * dt
-    long = short.replace({"run.sample": many, "run.step": dt})
+    long = short.replace({"run.sample_interval": many, "run.time_step": dt})
     parted = assembly.assemble_system(long, 0)
     assert parted.system.sample_parts > 40 and parted.system.block_steps >= int(
         parted.system.substeps

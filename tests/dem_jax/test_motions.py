@@ -290,7 +290,7 @@ INLINE = [
         r"motion\.times: without angles_deg or ways; allowed: times with angles_deg, ways or both",
     ),
     ({"angles_deg": (0.0, 1.0)}, r"motion\.angles_deg: without times; allowed"),
-    ({"ways": ((0.0, 0.0, 0.0),)}, r"motion\.ways: without times; allowed"),
+    ({"ways": ((0.0, 0.0, 0.0),)}, r"motion\.displacements: without times; allowed"),
     (
         ROWS | {"angles_deg": (0.0,)},
         r"motion\.times \(group 'flap'\): 2 times, 1 angles_deg; allowed: as many of each",
@@ -404,7 +404,7 @@ def test_a_run_that_is_settled_ends_after_the_last_row_of_its_table():
     row = {"group": "flap", "times": [0.03, 0.0351, 0.0391], "angles_deg": [0.0, 10.0, 5.0]}
     ball = {"shape": "sphere", "radius": 0.01, "position": [0.0, 0.0, 0.012]}
     settings = {
-        "run.precision": "f64", "run.sample": 2e-5, "run.duration": 0.06, "run.until_settled": True,
+        "run.precision": "f64", "run.sample_interval": 2e-5, "run.duration": 0.06, "run.until_settled": True,
         "run.settled_time": window, "run.settled_speed": 4e-3, "piece": [ball], "motion": [row],
     }  # fmt: skip
     scene = dem_jax.load_scene("plate-drop")

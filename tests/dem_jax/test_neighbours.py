@@ -208,7 +208,7 @@ def spheres(choice, precision):
             for k in range(COUNT_SPHERES)
         ]
         made = assembly.assemble_system(
-            Scene(piece=pieces, run=SETTINGS | {"precision": precision, "neighbours": choice}), 0
+            Scene(piece=pieces, run=SETTINGS | {"precision": precision, "broad_phase": choice}), 0
         )
         system = made.system
         if choice == "jax-md":

@@ -22,13 +22,13 @@ REFUSED = [
     # its default
     (
         "weigh-bucket",
-        STL | {"weigh_bucket.mouth": [0.14, 0.12]},
-        r"weigh_bucket.mouth = \[0.14, 0.12\]: cannot act",
+        STL | {"weigh_bucket.opening_size": [0.14, 0.12]},
+        r"weigh_bucket.opening_size = \[0.14, 0.12\]: cannot act",
     ),
     (
         "weigh-bucket",
-        STL | {"weigh_bucket.lap": 0.0},
-        "weigh_bucket.lap = 0.0: cannot act beside weigh_bucket.stl",
+        STL | {"weigh_bucket.panel_overlap": 0.0},
+        "weigh_bucket.panel_overlap = 0.0: cannot act beside weigh_bucket.stl",
     ),
     (
         "weigh-bucket",
@@ -83,7 +83,7 @@ REFUSED = [
     ),
     (
         "plate-drop",
-        {"motion": [{"group": "plate", "opening": 0.1}]},
+        {"motion": [{"group": "plate", "opening_time": 0.1}]},
         "motion.0: opening = 0.1: cannot act without swing_deg",
     ),
     (
@@ -117,10 +117,10 @@ def test_what_a_study_or_an_ensemble_varies_must_act(tmp_path):
 
 def test_a_file_says_so_too(tmp_path):
     (tmp_path / "own.toml").write_text(
-        'base = "weigh-bucket"\n[weigh_bucket]\nstl = "a.stl"\nmouth = [0.1, 0.1]\n'
+        'base = "weigh-bucket"\n[weigh_bucket]\nstl = "a.stl"\nopening_size = [0.1, 0.1]\n'
     )
     with pytest.raises(
-        SceneError, match="weigh_bucket.mouth = .* cannot act beside weigh_bucket.stl"
+        SceneError, match="weigh_bucket.opening_size = .* cannot act beside weigh_bucket.stl"
     ):
         load_scene(tmp_path / "own.toml")
 

@@ -36,7 +36,7 @@ def heap(neighbours):
         {"shape": "sphere", "radius": 0.01, "position": tuple(p), "velocity": tuple(v)}
         for p, v in rows
     ]
-    return Scene(piece=pieces, wall=[FLOOR], run=SETTINGS | {"neighbours": neighbours})
+    return Scene(piece=pieces, wall=[FLOOR], run=SETTINGS | {"broad_phase": neighbours})
 
 
 @pytest.fixture(scope="module")
@@ -109,15 +109,15 @@ def test_the_list_of_jax_md_can_be_made_for_many_members_at_once():
 def test_an_unknown_way_of_searching_is_an_error():
     with pytest.raises(
         SceneError,
-        match='run.neighbours = "octree": allowed: "auto" or "all-pairs" or "cells" or "jax-md"',
+        match='run.broad_phase = "octree": allowed: "auto" or "all-pairs" or "cells" or "jax-md"',
     ):
-        dem_jax.load_scene("plate-drop", {"run.neighbours": "octree"})
+        dem_jax.load_scene("plate-drop", {"run.broad_phase": "octree"})
 
 
 def test_the_list_of_jax_md_without_jax_md_is_an_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "jax_md", None)  # as if it were not installed
     with pytest.raises(
         SceneError,
-        match=r"""run.neighbours = "jax-md": needs jax-md: pip install 'product-impact\[jax-md\]'""",
+        match=r"""run.broad_phase = "jax-md": needs jax-md: pip install 'product-impact\[jax-md\]'""",
     ):
         dem_jax.simulate(heap("jax-md"))

@@ -16,7 +16,7 @@ from dem_jax.scene import Scene, load_scene
 from dem_jax.visualization.summary import summarize_run
 
 COARSE, FINE, END = 3e-5, 3e-6, 0.24  # s: samples, and a time after the peak of the first impact
-STIFF = load_scene("plate-drop", {"material.softening": 1.0, "run.precision": "f64"})
+STIFF = load_scene("plate-drop", {"material.numerical_softening": 1.0, "run.precision": "f64"})
 SIZE = 0.1  # m
 PANELS = {  # two halves of a floor that are reported as one bucket has its flaps, and a wall
     "left": [(-SIZE, -SIZE, 0.0), (0.0, -SIZE, 0.0), (0.0, SIZE, 0.0), (-SIZE, SIZE, 0.0)],
@@ -26,7 +26,7 @@ PANELS = {  # two halves of a floor that are reported as one bucket has its flap
 
 @cache
 def stiff_drop(sample):
-    return dem_jax.simulate(STIFF.replace(run={"sample": sample, "duration": END}))
+    return dem_jax.simulate(STIFF.replace(run={"sample_interval": sample, "duration": END}))
 
 
 def balls(sample, steps=8, **run):
@@ -75,7 +75,7 @@ def test_a_run_says_which_peak_its_samples_missed_and_of_what_stiffness_it_is():
         coarse.peak_kg("roof")
     (note,) = coarse.info["notes"]
     assert (
-        note.startswith("run.sample = 3e-05 s: the shortest contacts last ")
+        note.startswith("run.sample_interval = 3e-05 s: the shortest contacts last ")
         and "less than 3 samples" in note
     )
     assert not fine.info.get("notes")
@@ -200,7 +200,7 @@ def test_contacts_of_fewer_than_three_samples_are_named(softening, is_said):
 
     made = assembly.assemble_system(
         balls(3e-5, allow_unstable_step=True).replace(
-            material={"softening": softening, "friction_wall": 0.0}
+            material={"numerical_softening": softening, "friction_wall": 0.0}
         )
     )
     stiffness, mass = (

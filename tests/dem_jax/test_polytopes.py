@@ -446,7 +446,7 @@ def test_a_piece_bounces_off_a_sheet_as_off_a_slab(piece):
                     name="sheet",
                     piece=[piece | start],
                     wall=[wall],
-                    material={"softening": 0.003},
+                    material={"numerical_softening": 0.003},
                     run=run,
                 )
             )

@@ -305,7 +305,8 @@ def test_an_ensemble_of_a_mixed_portion_is_its_seeds_one_by_one():
         "portion.arrangement": "scattered",
     }
     scene = parse_scene(SCENE).replace(
-        changes | {"run.duration": 0.1, "run.sample": 1e-3, "feed_bucket.opening_start": 1.0}
+        changes
+        | {"run.duration": 0.1, "run.sample_interval": 1e-3, "feed_bucket.opening_start": 1.0}
     )
     runs = dem_jax.ensemble(scene, runs=2, seed=3)
     alone = dem_jax.simulate(scene, seed=4)

@@ -64,9 +64,14 @@ def scene(precision="f64", samples=SHORT, **run):
         piece=pieces,
         wall=[{"group": "floor", "corners": FLOOR}, {"group": "side", "corners": SIDE}],
         motion=[
-            {"group": "floor", "stroke": (5e-4, 0.0, 2e-4), "frequency": 60.0, "shake_ramp": 1e-3}
+            {
+                "group": "floor",
+                "stroke": (5e-4, 0.0, 2e-4),
+                "frequency": 60.0,
+                "vibration_ramp": 1e-3,
+            }
         ],
-        block=[{"name": "box", "low": (-SIZE, -SIZE, 0.0), "high": (SIZE, SIZE, 0.1)}],
+        region=[{"name": "box", "low": (-SIZE, -SIZE, 0.0), "high": (SIZE, SIZE, 0.1)}],
         run=settings | run,
     )
 
@@ -211,7 +216,7 @@ def test_what_the_scene_does_not_have_is_left_out():
         stored.name: stored.labels
         for stored in series.declare_quantities(assembly.assemble_system(made).system)
     }
-    known, still = labels(scene()), labels(scene(energy=False).replace(motion=[], block=[]))
+    known, still = labels(scene()), labels(scene(energy=False).replace(motion=[], region=[]))
     assert known["energy"] == (
         "kinetic",
         "potential",

@@ -48,7 +48,7 @@ def test_every_key_stands_in_a_table(tables):
 def test_a_row_has_unit_default_allowed_values_and_meaning(tables):
     unit, meaning = reference.split_unit(Material.model_fields["density"].description)
     assert tables["`[material]`"]["density"] == [unit, "`300`", "a number > 0", meaning]
-    assert tables["`[[block]]`"]["low"][:3] == ["m", "required", "a list of 3, each a number"]
+    assert tables["`[[region]]`"]["low"][:3] == ["m", "required", "a list of 3, each a number"]
 
 
 def test_shared_keys_have_one_table_that_others_link_to(tables):

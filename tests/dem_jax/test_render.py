@@ -334,7 +334,7 @@ def test_what_cannot_be_drawn_is_said_in_one_line(tmp_path, monkeypatch):
         RecordError, match=r"now\.bmp must end in one of: \.png, \.pdf, \.svg, \.gif, \.mp4"
     ):
         render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "now.bmp")
-    with pytest.raises(RecordError, match=r"the run has no frames; set run\.frames"):
+    with pytest.raises(RecordError, match=r"the run has no frames; set run\.frame_interval"):
         render_frames(None, pieces, walls, lambda t: STILL, tmp_path / "now.png")
     ensemble = Frames(
         frames.time, *(np.stack([getattr(frames, n)] * 2) for n in list(vars(frames))[1:])

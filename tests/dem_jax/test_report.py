@@ -93,7 +93,7 @@ def test_poses_are_thinned_to_keep_the_page_small(monkeypatch):
 
 def test_a_run_without_frames_gets_a_page_that_says_so():
     page = page_of(["drop"], stored(frames=0))
-    assert "No poses were stored of drop: set run.frames" in words(page)
+    assert "No poses were stored of drop: set run.frame_interval" in words(page)
     assert (
         views(page) == [] and "canvas id" not in page and "THREE" not in page.split("<script>")[1]
     )
@@ -101,7 +101,9 @@ def test_a_run_without_frames_gets_a_page_that_says_so():
 
 def test_several_are_overlaid_with_their_differences_in_numbers():
     soft = stored((2.0, 2.2, 2.4, 2.1, 2.3))
-    hard = stored((3.0, 3.2, 3.4, 3.1, 3.3), scene=SCENE.replace(material={"softening": 0.1}))
+    hard = stored(
+        (3.0, 3.2, 3.4, 3.1, 3.3), scene=SCENE.replace(material={"numerical_softening": 0.1})
+    )
     page = page_of(["soft", "hard"], soft, hard)
     said = words(page)
     assert "2.2 kg (median; 5 to 95 %: 2.02 to 2.38 kg)" in said

@@ -241,7 +241,8 @@ def test_what_may_be_asked_of_damping_at_rest():
 )
 def test_runs_say_where_rest_is_not_damped(changes, fastest, end, is_said):
     job = SimpleNamespace(
-        scene=load_scene("plate-drop").replace({"run.sample": 0.01} | changes), own_law=False
+        scene=load_scene("plate-drop").replace({"run.sample_interval": 0.01} | changes),
+        own_law=False,
     )
     samples = SimpleNamespace(fastest=np.array([[fastest] * 300, [1.0] * 300]))  # of two runs
     span = SimpleNamespace(count=end, end=end, samples=samples)

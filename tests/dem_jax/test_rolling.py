@@ -33,7 +33,7 @@ def ball(**changes):
     made = partial(
         validation.plate_scene,
         gravity=(0.0, 0.0, -G),
-        run={"duration": 0.18, "sample": 1e-3},
+        run={"duration": 0.18, "sample_interval": 1e-3},
         **{
             "restitution": 0.5,
             "rest_damping": 0.3,

@@ -240,7 +240,7 @@ def changed(topology, parameters):
 def test_values_do_what_the_scene_s_own_numbers_do(name):
     """The arrays of system and state are those of a scene with these numbers."""
     scene = assembly.inline_files(
-        scenes()[name].replace({"run.precision": "f64", "run.step": 2e-6})
+        scenes()[name].replace({"run.precision": "f64", "run.time_step": 2e-6})
     )
     made = assembly.assemble_system(scene)
     topology, own = split_scene(scene, made)
@@ -279,8 +279,8 @@ def test_values_do_what_the_scene_s_own_numbers_do(name):
     ("parameters", "message"),
     [
         (
-            {"run.sample": 1e-4},
-            "run.sample: decides the program or its sizes, or is .* allowed: material.density, .*run.gravity",
+            {"run.sample_interval": 1e-4},
+            "run.sample_interval: decides the program or its sizes, or is .* allowed: material.density, .*run.gravity",
         ),
         ({"material.restitutio": 0.1}, "did you mean 'material.restitution'"),
         ({"piece.0.radius": 0.1}, "decides the program"),
@@ -309,7 +309,7 @@ def test_values_do_what_the_scene_s_own_numbers_do(name):
             {"piece.0.orientation": jnp.zeros(4)},
             r"piece\.0\.orientation = .*: allowed: a quaternion that is not zero",
         ),
-        ({"material.density": 1e-6}, r"run\.step = .*: allowed: at most .* s"),
+        ({"material.density": 1e-6}, r"run\.time_step = .*: allowed: at most .* s"),
     ],
 )
 def test_what_decides_the_program_is_refused_in_one_line(parameters, message):

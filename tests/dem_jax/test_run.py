@@ -43,7 +43,7 @@ def balls(heights=(0.012,), **changes):
         "run.precision": "f64",
         "run.duration": 0.03,
         "name": "balls",
-        "run.sample": 2e-5,
+        "run.sample_interval": 2e-5,
     }
     return dem_jax.load_scene("plate-drop", base | changes)
 
@@ -55,7 +55,7 @@ def settling(**changes):
         "portion": {"shape": "sphere", "radius": 0.01, "count": 2, "settling_time": 0.01},
         "run.duration": 0.02,
         "run.precision": "f64",
-        "run.frames": 3e-4,
+        "run.frame_interval": 3e-4,
     }
     return dem_jax.load_scene("quick-release", base | changes)
 
@@ -92,7 +92,7 @@ def short_chunks(monkeypatch):
 
 
 def test_samples_are_at_the_ends_of_their_intervals_and_frames_begin_at_the_release():
-    result = dem_jax.simulate(balls(**{"run.frames": 7 * 2e-5}))
+    result = dem_jax.simulate(balls(**{"run.frame_interval": 7 * 2e-5}))
     assert result.time.dtype == np.float64 and len(result.time) == 1500
     np.testing.assert_array_equal(result.time, (np.arange(1500) + 1) * 2e-5)
     np.testing.assert_array_equal(result.pieces.time, np.arange(215) * (7 * 2e-5))
@@ -117,7 +117,9 @@ def test_frames_that_do_not_fit_into_chunks_hold_the_motion_of_their_times():
     """Free fall is exact to rounding: 1e-12 m in 0.02 s. Chunks of about 100 samples, frames every
     7.
     """
-    result = dem_jax.simulate(balls([0.05], **{"run.frames": 7 * 2e-5, "run.duration": 0.02}))
+    result = dem_jax.simulate(
+        balls([0.05], **{"run.frame_interval": 7 * 2e-5, "run.duration": 0.02})
+    )
     t = result.pieces.time
     np.testing.assert_allclose(
         result.pieces.position[:, 0, 2], 0.05 - 0.5 * G * t**2, rtol=0, atol=1e-12
@@ -133,7 +135,12 @@ def test_orientations_are_those_of_the_body_frame_in_which_the_shape_was_given()
         "shape": "cuboid", "size": [0.02, 0.05, 0.03], "position": [0.0, 0.0, 0.3],
         "orientation": start.tolist(), "angular_velocity": (30 * axis).tolist(),
     }  # fmt: skip
-    settings = {"piece": [piece], "run.precision": "f64", "run.duration": 0.02, "run.frames": 2e-3}
+    settings = {
+        "piece": [piece],
+        "run.precision": "f64",
+        "run.duration": 0.02,
+        "run.frame_interval": 2e-3,
+    }
     result = dem_jax.simulate(dem_jax.load_scene("plate-drop", settings))
     found = result.pieces.orientation[:, 0]
     half = 0.5 * 30 * result.pieces.time
@@ -208,10 +215,13 @@ def test_other_numbers_need_no_other_program():
     dem_jax.simulate(balls())
     before = len(programs.EXECUTABLES)
     dem_jax.simulate(
-        balls([0.02], **{"run.duration": 0.01, "run.frames": 1e-4, "run.gravity": [0, 0, -1.62]})
+        balls(
+            [0.02],
+            **{"run.duration": 0.01, "run.frame_interval": 1e-4, "run.gravity": [0, 0, -1.62]},
+        )
     )
     dem_jax.simulate(
-        balls(**{"material.density": 310.0, "material.friction_wall": 0.1, "run.step": 3.4e-6})
+        balls(**{"material.density": 310.0, "material.friction_wall": 0.1, "run.time_step": 3.4e-6})
     )
     assert len(programs.EXECUTABLES) == before
 
@@ -381,7 +391,7 @@ def test_a_piece_that_leaves_the_domain_is_noted_where_that_is_asked_for(tmp_pat
         "run.settled_speed": 0.03,
         "run.duration": 0.2,
     }
-    scene = balls([0.012, 0.2], **sideways, **settled, **{"run.escape": "note"})
+    scene = balls([0.012, 0.2], **sideways, **settled, **{"run.on_escape": "warn"})
     out = tmp_path / "run.h5"
     result = (
         dem_jax.simulate(scene, out=out) if runs is None else dem_jax.ensemble(scene, runs, out=out)
@@ -410,7 +420,7 @@ def test_motion_that_is_not_finite_stops_the_run():
         )
     with pytest.raises(
         SimulationError,
-        match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.step; or restitution",
+        match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.time_step; or restitution",
     ):
         run_job(job, None, False, False)
 
@@ -420,10 +430,10 @@ def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
     m).
     """
     out = tmp_path / "run.h5"
-    scene = balls(**{"material.softening": 1e-6, "piece.0.velocity": [0, 0, -3.0]})
+    scene = balls(**{"material.numerical_softening": 1e-6, "piece.0.velocity": [0, 0, -3.0]})
     with pytest.raises(
         SimulationError,
-        match=r"piece 0 at .* contact with wall group 'plate' is 50\.. % .* material\.softening.*densifying",
+        match=r"piece 0 at .* contact with wall group 'plate' is 50\.. % .* material\.numerical_softening.*densifying",
     ):
         dem_jax.simulate(scene, out=out)
     saved = dem_jax.load_run(out)

@@ -164,4 +164,4 @@ def test_a_piece_that_nothing_can_touch_is_said():
     with pytest.raises(
         SceneError, match="a single piece and no wall: nothing can touch; allowed: another piece"
     ):
-        assembly.assemble_system(load_scene("plate-drop").replace(wall=[], block=[]))
+        assembly.assemble_system(load_scene("plate-drop").replace(wall=[], region=[]))

@@ -77,7 +77,7 @@ def test_a_scene_says_what_simplifying_changed_and_may_ask_for_all_corners(stl):
     assert "265 corners simplified to 128: nowhere further off than 0." in contained.portion.note
     assert contained.portion.note.startswith(str(stl))
     assert inline_files(contained) == contained  # once
-    all_of_them = few.replace(portion={"max_corners": 300})
+    all_of_them = few.replace(portion={"max_vertices": 300})
     assert len(inline_files(all_of_them).portion.points) == 265
     assert inline_files(all_of_them).portion.note is None
     made = [
@@ -97,13 +97,13 @@ def test_parts_of_a_compound_are_simplified_too_and_named(stl):
 
 
 def test_max_corners_is_a_key_of_hulls_alone_and_not_too_small():
-    with pytest.raises(SceneError, match="portion.max_corners = 20: not a key of shape 'cuboid'"):
+    with pytest.raises(SceneError, match="portion.max_vertices = 20: not a key of shape 'cuboid'"):
         assembly.assemble_system(
-            Scene(portion={"shape": "cuboid", "size": (0.01, 0.01, 0.01), "max_corners": 20})
+            Scene(portion={"shape": "cuboid", "size": (0.01, 0.01, 0.01), "max_vertices": 20})
         )
-    with pytest.raises(SceneError, match="portion.max_corners = 5: "):
+    with pytest.raises(SceneError, match="portion.max_vertices = 5: "):
         load_scene("weigh-bucket").replace(
-            portion={"shape": "hull", "points": ellipsoid(20).tolist(), "max_corners": 5}
+            portion={"shape": "hull", "points": ellipsoid(20).tolist(), "max_vertices": 5}
         )
 
 

@@ -27,9 +27,10 @@ BALL = {  # a heavier and a lighter fall of one ball onto a plate, at three rest
             "shape": "sphere", "radius": 0.01, "count": 1, "arrangement": "scattered",
             "region_low": [-0.05, -0.05, 0.0], "region_high": [0.05, 0.05, 0.06],
         },
-        "piece": [], "run.precision": "f64", "run.duration": 0.08, "run.sample": 1e-4, "run.frames": 0.0, "run.energy": False,
+        "piece": [], "run.precision": "f64", "run.duration": 0.08, "run.sample_interval": 1e-4, "run.frame_interval": 0.0,
+        "run.track_energy": False,
     },
-    "parameter": {"material.softening": {"low": 0.01, "high": 0.1, "log": True}, "material.restitution": {"values": [0.3, 0.6]}},
+    "parameter": {"material.numerical_softening": {"low": 0.01, "high": 0.1, "log": True}, "material.restitution": {"values": [0.3, 0.6]}},
     "points": 2, "outputs": [
         "peak", "peak_1ms", "time_of_peak", "peak_duration", "impact_time", "first_at_rest", "time_to_rest", "time_to_weigh",
         "settled", "step", "pieces",
@@ -50,7 +51,7 @@ def done(tmp_path_factory):
 def test_a_grid_takes_each_value_with_each(done):
     found, _ = done
     assert list_points(found.study) == [
-        {"material.softening": a, "material.restitution": b}
+        {"material.numerical_softening": a, "material.restitution": b}
         for a in (0.01, 0.1)
         for b in (0.3, 0.6)
     ]
@@ -225,14 +226,14 @@ def test_the_power_law_of_a_linear_spring_is_found():
     """A sphere on a linear spring: peak over the square root of its stiffness (VALIDATION, section
     2).
     """
-    one = {"material.softening": {"low": 0.01, "high": 1.0, "log": True}}
+    one = {"material.numerical_softening": {"low": 0.01, "high": 1.0, "log": True}}
     thrown = {
         "shape": "sphere",
         "radius": 0.01,
         "position": [0.0, 0.0, 0.02],
         "velocity": [0.0, 0.0, -1.0],
     }
-    short = {"run.gravity": [0.0, 0.0, 0.0], "run.sample": 1e-5, "run.duration": 0.03}
+    short = {"run.gravity": [0.0, 0.0, 0.0], "run.sample_interval": 1e-5, "run.duration": 0.03}
     changes = BALL["set"] | {"portion": None, "piece": [thrown]} | short
     found = study_runner.run_study(
         ball(
@@ -251,7 +252,7 @@ def test_the_power_law_of_a_linear_spring_is_found():
 
 def test_designs_that_are_drawn_fill_their_ranges():
     ranges = {
-        "material.softening": {"low": 0.01, "high": 1.0, "log": True},
+        "material.numerical_softening": {"low": 0.01, "high": 1.0, "log": True},
         "material.restitution": {"low": 0.1, "high": 0.9},
     }
     for design in ("latin-hypercube", "sobol"):
@@ -349,7 +350,7 @@ def test_a_heap_is_the_same_whatever_it_is_released_into():
         "portion.settling_time": 0.1,
         "portion.region_high": [0.05, 0.05, 0.03],
     }
-    base |= {"run.frames": 1e-3, "run.duration": 0.01}
+    base |= {"run.frame_interval": 1e-3, "run.duration": 0.01}
     table = ball(
         set=base,
         heap={"material.restitution": 0.1},
@@ -526,11 +527,12 @@ def test_the_table_and_the_figure_are_made(done, tmp_path):
     found, _ = done
     said = "\n".join(analysis.describe_results(found))
     assert (
-        "A ball on a plate" in said and "two independent drops, material.softening = 0.01" in said
+        "A ball on a plate" in said
+        and "two independent drops, material.numerical_softening = 0.01" in said
     )
     rows = analysis.write_csv(found, tmp_path / "ball.csv").read_text().splitlines()
     assert len(rows) == 9 and rows[0].startswith(
-        "material.softening,material.restitution,seed,peak (kg)"
+        "material.numerical_softening,material.restitution,seed,peak (kg)"
     )
     assert float(rows[6].split(",")[3]) == pytest.approx(found.outputs["peak"][5], rel=1e-8)
     assert plot_study(found, tmp_path / "ball.png").stat().st_size > 10_000

@@ -90,7 +90,7 @@ def test_cubes_that_meet_head_on_leave_as_they_came():
         {
             "piece": pieces,
             "material.restitution": 1.0,
-            "material.softening": 0.1,
+            "material.numerical_softening": 0.1,
             "material.friction_piece": MU,
             "run.gravity": (0, 0, 0),
             "run.precision": "f64",

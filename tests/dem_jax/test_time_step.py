@@ -60,7 +60,7 @@ def test_step_divides_the_sample_interval():
     step = step_of()
     assert step.dt <= step.critical
     np.testing.assert_allclose(step.dt * step.substeps, 30e-6, rtol=1e-14)
-    asked = step_of(run={"step": 4e-6})
+    asked = step_of(run={"time_step": 4e-6})
     assert asked.substeps == 8 and asked.dt <= 4e-6
 
 
@@ -132,17 +132,18 @@ def test_a_step_that_is_not_stable_is_refused_unless_it_is_allowed_by_name():
     stable, linear = limits.stable, limits.linear_limit
     with pytest.raises(
         SceneError,
-        match=r"run\.step = .*at most .* gains more than 1 % of its energy; with run\.allow",
+        match=r"run\.time_step = .*at most .* gains more than 1 % of its energy; with run\.allow",
     ):
-        step_of(run={"step": 1.01 * stable})
+        step_of(run={"time_step": 1.01 * stable})
     allowed = {"sample": 1e-3, "allow_unstable_step": True}
-    assert stable < step_of(run={"step": 1.1 * stable} | allowed).dt <= 1.1 * stable
+    assert stable < step_of(run={"time_step": 1.1 * stable} | allowed).dt <= 1.1 * stable
     with pytest.raises(
-        SceneError, match=r"run\.step = .*allowed: at most .* s, the linear stability limit"
+        SceneError, match=r"run\.time_step = .*allowed: at most .* s, the linear stability limit"
     ):
-        step_of(run={"step": 1.01 * linear} | allowed)
+        step_of(run={"time_step": 1.01 * linear} | allowed)
     steps = [
-        step_of(run={**allowed, "step": q * linear, "sample": q * linear}) for q in (0.1, 0.5, 0.51)
+        step_of(run={**allowed, "time_step": q * linear, "sample_interval": q * linear})
+        for q in (0.1, 0.5, 0.51)
     ]
     assert [step.resolved for step in steps] == [1, 1, 0]
 
@@ -169,7 +170,7 @@ def ball(run=None, walls=(), **changes):
 def test_limit_of_a_sphere_is_that_of_its_tangential_spring():
     # K_t = K_nl moves 2/7 of the mass; without friction the normal spring moves all of it.
     scene = ball()
-    changes = ({}, {"material.friction_wall": 0.0}, {"material.tangential_stiffness": 0.05})
+    changes = ({}, {"material.friction_wall": 0.0}, {"material.tangential_stiffness_ratio": 0.05})
     rough, smooth, loose = (
         assembly.assemble_system(scene.replace(change)).step for change in changes
     )
@@ -217,7 +218,7 @@ def worst_gain(scene, step, phases):
         parameters={
             "piece.0.position": place,
             "piece.0.velocity": speed,
-            "run.step": [step] * phases,
+            "run.time_step": [step] * phases,
         },
     )
     assert (run.force["plate"][:, -1] == 0).all() and (
@@ -233,7 +234,7 @@ def test_a_step_beyond_the_stable_one_is_warned_of_with_the_error_to_expect():
     run = simulate(ball(settings, position=(0.0, 0.0, 0.1)))
     note, *_ = run.info["notes"]
     assert (
-        note.startswith("run.step: dt = ")
+        note.startswith("run.time_step: dt = ")
         and "times the stable step: an impact may gain up to about" in note
     )
     assert assembly.assemble_system(ball({"step": 0.9 * limits.stable})).step.warning is None

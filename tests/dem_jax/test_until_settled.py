@@ -20,8 +20,8 @@ def ball(**changes):
     """A ball falls 2 mm onto the plate; its first impact, at 20 ms, is too slow to bounce off."""
     piece = {"shape": "sphere", "radius": 0.01, "position": [0.0, 0.0, 0.012]}
     base = {
-        "piece": [piece], "name": "ball", "run.precision": "f64", "run.sample": 2e-5, "run.duration": 0.06,
-        "run.frames": 1e-4, "run.until_settled": True, "run.settled_time": WINDOW, "run.settled_speed": SPEED,
+        "piece": [piece], "name": "ball", "run.precision": "f64", "run.sample_interval": 2e-5, "run.duration": 0.06,
+        "run.frame_interval": 1e-4, "run.until_settled": True, "run.settled_time": WINDOW, "run.settled_speed": SPEED,
     }  # fmt: skip
     return dem_jax.load_scene("plate-drop", base | changes)
 
@@ -30,8 +30,8 @@ def portion(**changes):
     """A ball that settles in the feed bucket, and falls a little way into the weigh bucket."""
     base = {
         "portion": {"shape": "sphere", "radius": 0.01, "count": 1, "settling_time": 0.6},
-        "material.softening": 1e-3, "drop.height": 0.15, "feed_bucket.mouth": [0.1, 0.06],
-        "run.duration": 0.6, "run.sample": 1e-4, "run.precision": "f64", "run.until_settled": True, "name": "portion",
+        "material.numerical_softening": 1e-3, "drop.height": 0.15, "feed_bucket.opening_size": [0.1, 0.06],
+        "run.duration": 0.6, "run.sample_interval": 1e-4, "run.precision": "f64", "run.until_settled": True, "name": "portion",
     }  # fmt: skip
     return dem_jax.load_scene("quick-release", base | changes)
 
@@ -114,7 +114,7 @@ NEVER = [
     ({"swing_deg": 10.0, "period": 0.5}, r"motion\.0\.period = 0\.5; allowed: 0"),
     (
         {"stroke": [0, 0, 1e-4]},
-        r"motion\.0\.shake_end = 1000; allowed: below run\.duration = 0\.06",
+        r"motion\.0\.vibration_end = 1000; allowed: below run\.duration = 0\.06",
     ),
 ]
 

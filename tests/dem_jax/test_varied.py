@@ -27,7 +27,7 @@ BALLS = {
         "shape": "sphere", "radius": 0.01, "count": 2, "arrangement": "scattered",
         "region_low": [-0.05, -0.05, 0.0], "region_high": [0.05, 0.05, 0.1],
     },
-    "piece": [], "name": "balls", "run.precision": "f64", "run.duration": 0.02, "run.sample": 2e-5, "run.frames": 7e-4,
+    "piece": [], "name": "balls", "run.precision": "f64", "run.duration": 0.02, "run.sample_interval": 2e-5, "run.frame_interval": 7e-4,
 }  # fmt: skip
 PARAMETERS = {
     "material.restitution": [0.2, 0.5, 0.5],  # of another time step too
@@ -295,9 +295,9 @@ def test_the_run_that_fails_is_named_with_its_parameters():
             r'run 1 \(contact.law = "linear-dashpot"\) needs another program than run 0, by .*allowed',
         ),
         (
-            {"run.sample": [2e-5, 3e-5]},
+            {"run.sample_interval": [2e-5, 3e-5]},
             {},
-            "run.sample: allowed: run.step, and keys that are not of run",
+            "run.sample_interval: allowed: run.time_step, and keys that are not of run",
         ),
         ({"wall.0.stl": ["a.stl", "b.stl"]}, {}, "wall.0.stl: allowed: keys that name no file"),
         (
@@ -332,15 +332,15 @@ def test_a_file_has_room_for_the_seeds_of_many_runs(three, tmp_path):
 CHANGES = {  # of each section of a scene: keys that change arrays, places, numbers of pieces or the
 # program
     "weigh-bucket": [
-        {"material.restitution": 0.3}, {"material.density": 310.0}, {"material.softening": 0.02}, {"material.friction_wall": 0.0},
-        {"material.stiffness_size": "width"}, {"material.pull_off": 0.01}, {"material.wall_youngs_modulus": 1e9},
+        {"material.restitution": 0.3}, {"material.density": 310.0}, {"material.numerical_softening": 0.02}, {"material.friction_wall": 0.0},
+        {"material.stiffness_length": "width"}, {"material.pull_off": 0.01}, {"material.wall_youngs_modulus": 1e9},
         {"drop.height": 0.25}, {"weigh_bucket.flap_angle_deg": 50.0}, {"weigh_bucket.load_cell": {}},
         {"feed_bucket.opening_time": 0.1},
         {"portion.scale_factor": 0.9}, {"portion.count": 3}, {"portion.size_spread": 0.1}, {"portion.piece_weight": 5e-3},
-        {"portion.arrangement": "scattered"}, {"portion.settling_time": 0.3}, {"run.gravity": [0.0, 1.0, -9.0]}, {"run.step": 3e-6},
-        {"run.precision": "f64"}, {"run.sample": 6e-5}, {"contact.law": "linear-dashpot"}, {"run.domain_low": [-2.0, -2.0, -2.0]},
+        {"portion.arrangement": "scattered"}, {"portion.settling_time": 0.3}, {"run.gravity": [0.0, 1.0, -9.0]}, {"run.time_step": 3e-6},
+        {"run.precision": "f64"}, {"run.sample_interval": 6e-5}, {"contact.law": "linear-dashpot"}, {"run.domain_low": [-2.0, -2.0, -2.0]},
     ],
-    "weighing-cycles": [{"material.restitution": 0.3}, {"inlet.every": 0.06}, {"feeder.frequency": 40.0}, {"portion.count": 5}],
+    "weighing-cycles": [{"material.restitution": 0.3}, {"inlet.interval": 0.06}, {"feeder.frequency": 40.0}, {"portion.count": 5}],
     "plate-drop": [
         {"piece.0.position": [0.0, 0.01, 0.1]}, {"piece.0.shape": "cuboid", "piece.0.size": [0.02, 0.02, 0.03]},
         {"wall.0.thickness": 0.02},
@@ -405,7 +405,7 @@ def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeyp
         monkeypatch.setattr(
             f"dem_jax.assembly.{name}", counted(name, operator.attrgetter(name)(assembly))
         )
-    scene = load_scene("weigh-bucket", {"run.frames": 0.0})
+    scene = load_scene("weigh-bucket", {"run.frame_interval": 0.0})
     job = job_setup.prepare_job(
         scene,
         [0] * 100,

@@ -22,7 +22,7 @@ from dem_jax.scene import load_scene
             ["portion.region_low=[0, 0, 1],[0, 0, 2]"],
             {"portion.region_low": [[0, 0, 1], [0, 0, 2]] * 2 + [[0, 0, 1]]},
         ),
-        (['run.step="auto"'], {"run.step": ["auto"] * 5}),
+        (['run.time_step="auto"'], {"run.time_step": ["auto"] * 5}),
         ([], {}),
     ],
 )
@@ -81,8 +81,13 @@ def test_the_command_passes_values_seeds_and_the_rate_on(monkeypatch, tmp_path, 
         and asked["runs"] == 3
         and asked["uncertain"] is False
     )
-    assert asked["scene"] == load_scene("weigh-bucket", {"run.sample": 2e-3, "run.frames": 0.0})
-    assert main([*command, "--set", "run.frames=0.01"]) == 0 and asked["scene"].run.frames == 0.01
+    assert asked["scene"] == load_scene(
+        "weigh-bucket", {"run.sample_interval": 2e-3, "run.frame_interval": 0.0}
+    )
+    assert (
+        main([*command, "--set", "run.frame_interval=0.01"]) == 0
+        and asked["scene"].run.frames == 0.01
+    )
     for wrong, words in (
         (["--record-rate", "0"], "--record-rate 0"),
         (["--vary", "a=x:2"], "--vary a=x:2"),

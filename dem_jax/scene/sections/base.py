@@ -4,10 +4,12 @@ size that can be.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from dem_jax.deprecation import warn_of_name
+from dem_jax.scene.former_keys import find_attribute
 from dem_jax.scene.toml_text import format_value
 
 
@@ -63,6 +65,15 @@ class Section(BaseModel):
     """A table of a scene: unknown keys, wrong types and values that are not finite are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    if not TYPE_CHECKING:  # a type checker knows the names of now
+
+        def __getattr__(self, name: str) -> Any:
+            renamed = find_attribute(type(self).__name__, name)
+            if renamed is None:
+                return super().__getattr__(name)
+            warn_of_name(f"{type(self).__name__}.{name}", renamed)
+            return getattr(self, renamed)
 
     @model_validator(mode="after")
     def _is_of_this_world(self) -> Self:

@@ -36,7 +36,7 @@ class Bucket(Section):
     assumptions).
     """
 
-    mouth: Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple)] = Field(
+    opening_size: Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple)] = Field(
         (0.14, 0.12), description="m, inner width along the hinges (x) and across them (y)"
     )
     wall_height: Positive = Field(0.13, description="m, of the vertical walls above the hinges")
@@ -48,13 +48,13 @@ class Bucket(Section):
     )
     opening_start: Parameter[float] = Field(0.0, description="s after the release")
     opening_time: Parameter[Positive] = Field(0.08, description="s")
-    open_dwell: Parameter[NotNegative] = Field(0.1, description="s")
+    hold_time: Parameter[NotNegative] = Field(0.1, description="s")
     closing_time: Parameter[Positive] = Field(0.09, description="s")
     period: NotNegative = Field(0.0, description="s from one opening to the next; 0: it opens once")
     drive: Drive | None = Field(None, description="drive of each flap; unset: unlimited torque")
     thickness: Positive = Field(0.005, description="m, of walls and flaps")
     material: MaterialName = None
-    lap: NotNegative = Field(
+    panel_overlap: NotNegative = Field(
         0.012, description="m by which flaps and walls overlap behind each other where they meet"
     )
     stl: str | None = Field(

@@ -13,16 +13,16 @@ LawName = Literal[
 
 # Keys that belong to some laws only, by section and key: the laws that have them.
 LAW_KEYS = {
-    ("material", "separation"): ("walton-braun",),
+    ("material", "separation_slope_ratio"): ("walton-braun",),
     ("material", "unloading_damping"): ("walton-braun",),
     ("material", "rest_damping"): ("walton-braun",),
-    ("material", "tangential_stiffness"): (
+    ("material", "tangential_stiffness_ratio"): (
         "walton-braun",
         "linear-dashpot",
         "densifying",
         "elastic-plastic",
     ),
-    ("contact", "impact_speed"): ("hertz-mindlin", "densifying", "elastic-plastic"),
+    ("contact", "max_impact_speed"): ("hertz-mindlin", "densifying", "elastic-plastic"),
     ("contact", "yield_pressure"): ("elastic-plastic",),
     ("contact", "densification"): ("densifying",),
 }
@@ -38,7 +38,7 @@ class Cohesion(Section):
     stiffness: Parameter[Positive] = Field(
         1.0, description="of the tension, relative to the two bodies in series (eqs 5, 7 and 8)"
     )
-    range: NotNegative = Field(
+    interaction_range: NotNegative = Field(
         1e-4, description="m, gap over which the tension decreases from pull_off to 0"
     )
 
@@ -47,7 +47,7 @@ class Contact(Section):
     """The contact law. Cohesion comes to it with material.pull_off or pair.pull_off."""
 
     law: LawName = "walton-braun"
-    impact_speed: Positive = Field(
+    max_impact_speed: Positive = Field(
         5.0,
         description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin", "densifying", "elastic-plastic"',
     )

@@ -14,7 +14,7 @@ class Inlet(Section):
     """
 
     mass_rate: Positive = Field(description="kg/s")
-    waiting: int | None = Field(
+    reservoir: int | None = Field(
         None,
         ge=1,
         le=1_000_000,
@@ -22,36 +22,38 @@ class Inlet(Section):
     )
     start: float = Field(0.0, ge=0, description="s after the release")
     end: Positive | None = Field(None, description="s; unset: until the end of the run")
-    every: Positive = Field(0.05, description="s between insertions")
-    low: Vector | None = Field(
+    interval: Positive = Field(0.05, description="s between insertions")
+    box_low: Vector | None = Field(
         None,
         description="m; box of the insertion; unset: above the rear of the feeder, or the feed bucket",
     )
-    high: Vector | None = Field(None, description="m")
+    box_high: Vector | None = Field(None, description="m")
     velocity: Vector = Field((0.0, 0.0, 0.0), description="m/s, initial velocity")
 
     @model_validator(mode="after")
     def _is_a_span_and_a_box(self) -> "Inlet":
         if self.end is not None and self.end <= self.start:
             raise ValueError(f"end = {self.end:g}: allowed: after start = {self.start:g}")
-        if (self.low is None) != (self.high is None):
+        if (self.box_low is None) != (self.box_high is None):
             raise ValueError(
-                f"{'low' if self.low is None else 'high'}: missing; allowed: both corners, or none"
+                f"{'box_low' if self.box_low is None else 'box_high'}: missing; allowed: both corners, or none"
             )
         if (
-            self.low is not None
-            and self.high is not None
-            and any(a > b for a, b in zip(self.low, self.high, strict=True))
+            self.box_low is not None
+            and self.box_high is not None
+            and any(a > b for a, b in zip(self.box_low, self.box_high, strict=True))
         ):
-            raise ValueError(f"low = {list(self.low)}: allowed: not above high = {list(self.high)}")
+            raise ValueError(
+                f"box_low = {list(self.box_low)}: allowed: not above box_high = {list(self.box_high)}"
+            )
         return self
 
 
 class Outlet(Section):
     """A height below which pieces are taken out of the scene, and counted."""
 
-    below: float | None = Field(
+    z_max: float | None = Field(
         None,
         description="m, height of their centres; unset: a piece's size below all walls at rest",
     )
-    every: Positive = Field(0.05, description="s between removals")
+    interval: Positive = Field(0.05, description="s between removals")

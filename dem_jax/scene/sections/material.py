@@ -90,12 +90,14 @@ class Material(Section, extra="allow"):
         0.0,
         description="mu_r of pieces, on pieces and on walls: tangent of the slope on which a sphere just stays",
     )
-    softening: Parameter[Positive] = Field(0.01, description="NSF, on both moduli")
-    stiffness_size: str = Field(
+    numerical_softening: Parameter[Positive] = Field(0.01, description="NSF, on both moduli")
+    stiffness_length: str = Field(
         "equivalent-diameter", description="L of eqs 7-8, a name of shapes.SIZE_LENGTHS"
     )
-    separation: Parameter[float] = Field(0.001, ge=0, lt=1, description="lambda of eq. 1")
-    tangential_stiffness: Parameter[Positive] = Field(1.0, description="K_t / K_nl")
+    separation_slope_ratio: Parameter[float] = Field(
+        0.001, ge=0, lt=1, description="lambda of eq. 1"
+    )
+    tangential_stiffness_ratio: Parameter[Positive] = Field(1.0, description="K_t / K_nl")
     unloading_damping: SwitchedParameter[float] = Field(
         0.0, ge=0, le=1, description="damping ratio of the unloading branch; 0: as in the paper"
     )

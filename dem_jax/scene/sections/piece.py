@@ -57,7 +57,7 @@ class ConvexShape(Section):
         description="STL file of a hull or of a decomposed shape, relative to the scene's folder",
     )
     unit: Positive = Field(1.0, description="m, length of one unit of the STL file or the points")
-    max_corners: int | None = Field(
+    max_vertices: int | None = Field(
         None,
         ge=16,
         le=1_000_000,
@@ -122,7 +122,7 @@ class PieceShape(ConvexShape):
         None,
         description="of a compound or a hull, before scaling; unset: the exact ones of the union of its parts",
     )
-    joint_tolerance: float | None = Field(
+    coplanarity_tolerance: float | None = Field(
         None,
         gt=0,
         le=0.01,
@@ -136,7 +136,7 @@ class PieceShape(ConvexShape):
         ge=1,
         description="of what is decomposed; compiling takes in proportion to them; unset: 16",
     )
-    loss: Positive | None = Field(
+    max_volume_loss: Positive | None = Field(
         None,
         description="what decomposing may lose, as fraction of the volume and of the size; unset: 0.5, and it is reported",
     )
@@ -155,10 +155,10 @@ SHAPE_KEYS = {
     "chamfered-cuboid": {"size", "chamfer"},
     "prism": {"sides", "radius", "height"},
     "cylinder": {"radius", "height", "sides"},
-    "hull": {"points", "stl", "unit", "max_corners", "hull_tolerance", "mass_properties"},
+    "hull": {"points", "stl", "unit", "max_vertices", "hull_tolerance", "mass_properties"},
     "tube": {"outer_radius", "inner_radius", "height", "sides"},
-    "compound": {"part", "mass_properties", "joint_tolerance"},
-    "decomposed": {"stl", "unit", "concavity", "max_parts", "loss", "max_corners"},
+    "compound": {"part", "mass_properties", "coplanarity_tolerance"},
+    "decomposed": {"stl", "unit", "concavity", "max_parts", "max_volume_loss", "max_vertices"},
 }
 
 

@@ -40,49 +40,49 @@ class RunSettings(Section):
     settled_time: Positive = Field(
         0.02, description="s, after the last motion of a wall; see settled_speed"
     )
-    sample: Positive = Field(30e-6, description="s between samples")
-    step: Literal["auto"] | Positive = Field("auto", description='s, or "auto"')
+    sample_interval: Positive = Field(30e-6, description="s between samples")
+    time_step: Literal["auto"] | Positive = Field("auto", description='s, or "auto"')
     allow_unstable_step: bool = Field(
         False,
         description="let a step be longer than the stable one, so that impacts gain more than 1 % of their energy",
     )
     accuracy: Accuracy | None = Field(
         None,
-        description="instead of step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one",
+        description="instead of time_step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one",
     )
     precision: Literal["f32", "f64"] = "f32"
     gravity: Parameter[Vector] = Field((0.0, 0.0, -9.81), description="m/s2")
-    frames: NotNegative = Field(1e-3, description="s between stored poses; 0: none")
-    energy: bool = Field(
+    frame_interval: NotNegative = Field(1e-3, description="s between stored poses; 0: none")
+    track_energy: bool = Field(
         True, description="keep the energy ledger: dissipated energy and work of walls"
     )
     domain_low: Vector | None = Field(
         None, description="m; a piece below this has left the scene; unset: from the walls"
     )
     domain_high: Vector | None = Field(None, description="m")
-    escape: Literal["stop", "note"] = Field(
+    on_escape: Literal["stop", "warn"] = Field(
         "stop",
-        description='a piece that leaves the domain stops the run, or is noted in the file and flies on: "note"',
+        description='a piece that leaves the domain stops the run, or is noted in the file and flies on: "warn"',
     )
-    rebuild_steps: int = Field(
+    max_rebuild_interval: int = Field(
         48, ge=1, le=65536, description="most steps for which candidate pairs are kept"
     )
-    neighbours: Literal["auto", "all-pairs", "cells", "jax-md"] = Field(
+    broad_phase: Literal["auto", "all-pairs", "cells", "jax-md"] = Field(
         "auto", description="broad phase; auto: all pairs for few pieces, cells for many"
     )
 
     @model_validator(mode="after")
     def _has_one_step(self) -> "RunSettings":
-        if self.accuracy is not None and self.step != "auto":
+        if self.accuracy is not None and self.time_step != "auto":
             raise ValueError(
-                f'step = {self.step:g}: beside accuracy, from which the step follows; allowed: "auto"'
+                f'time_step = {self.time_step:g}: beside accuracy, from which the step follows; allowed: "auto"'
             )
         return self
 
     @model_validator(mode="after")
     def _samples_within_its_duration(self) -> "RunSettings":
-        if self.sample > self.duration * (1 + ROUNDING):
+        if self.sample_interval > self.duration * (1 + ROUNDING):
             raise ValueError(
-                f"sample = {self.sample:g}: longer than run.duration = {self.duration:g}; allowed: at most the duration"
+                f"sample_interval = {self.sample_interval:g}: longer than run.duration = {self.duration:g}; allowed: at most the duration"
             )
         return self

@@ -10,24 +10,24 @@ class Statistics(Section):
     and a map over each panel.
     """
 
-    slowest: NotNegative = Field(
+    min_speed: NotNegative = Field(
         0.01,
         description="m/s; slower contacts, such as those of ringing pieces at rest, are not counted",
     )
-    fastest: Positive = Field(
+    max_speed: Positive = Field(
         4.0, description="m/s; the last bin contains all faster impacts as well"
     )
-    speeds: int = Field(
+    speed_bins: int = Field(
         40, ge=1, le=1000, description="bins of impact speeds, of equal width from 0 to the fastest"
     )
-    cells: int = Field(
+    map_resolution: int = Field(
         16, ge=1, le=256, description="cells of the map along each side of the box around a panel"
     )
 
     @model_validator(mode="after")
     def _has_speeds_between(self) -> "Statistics":
-        if self.slowest >= self.fastest:
+        if self.min_speed >= self.max_speed:
             raise ValueError(
-                f"slowest = {self.slowest:g}: allowed: below fastest = {self.fastest:g}"
+                f"min_speed = {self.min_speed:g}: allowed: below max_speed = {self.max_speed:g}"
             )
         return self

@@ -19,10 +19,23 @@ from dem_jax.scene.sections.base import (
     check_needed,
 )
 
-HINGE_KEYS = ("start", "opening", "dwell", "closing", "period", "drive")  # keys of a motion that
+HINGE_KEYS = (
+    "opening_start",
+    "opening_time",
+    "hold_time",
+    "closing_time",
+    "period",
+    "drive",
+)  # keys of a motion that
 # swings
 # of one that vibrates
-SHAKING_KEYS = ("frequency", "shake_start", "shake_end", "shake_ramp", "shake_period")
+VIBRATION_KEYS = (
+    "frequency",
+    "vibration_start",
+    "vibration_end",
+    "vibration_ramp",
+    "vibration_period",
+)
 NAME_PATTERN = r"^[.]*[A-Za-z0-9_-][A-Za-z0-9_.-]*$"  # not of dots alone: in a file, that is a
 # group itself
 
@@ -86,23 +99,23 @@ class Motion(Section):
     group: str
     pivot: Vector = Field((0.0, 0.0, 0.0), description="m, a point of the hinge's axis")
     axis: Vector = Field((1.0, 0.0, 0.0), description="direction of the hinge")
-    swing_deg: SwitchedParameter[float] = Field(
+    opening_angle_deg: SwitchedParameter[float] = Field(
         0.0, description="degrees, opening angle of the flap, right-handed about the axis"
     )
-    start: Parameter[float] = Field(0.0, description="s")
-    opening: Parameter[Positive] = Field(0.08, description="s")
-    dwell: Parameter[NotNegative] = Field(0.1, description="s, hold time of the open flap")
-    closing: Parameter[Positive] = Field(0.09, description="s")
+    opening_start: Parameter[float] = Field(0.0, description="s")
+    opening_time: Parameter[Positive] = Field(0.08, description="s")
+    hold_time: Parameter[NotNegative] = Field(0.1, description="s, hold time of the open flap")
+    closing_time: Parameter[Positive] = Field(0.09, description="s")
     period: Parameter[NotNegative] = Field(0.0, description="s; 0: once")
     drive: Drive | None = Field(None, description="drive of the flap; unset: unlimited torque")
     stroke: SwitchedParameter[Vector] = Field(
         (0.0, 0.0, 0.0), description="m, amplitude of the vibration"
     )
     frequency: Parameter[NotNegative] = Field(50.0, description="Hz")
-    shake_start: Parameter[float] = Field(0.0, description="s")
-    shake_end: Parameter[float] = Field(1e3, description="s")
-    shake_ramp: Parameter[Positive] = Field(0.02, description="s, to full amplitude and back")
-    shake_period: NotNegative = Field(
+    vibration_start: Parameter[float] = Field(0.0, description="s")
+    vibration_end: Parameter[float] = Field(1e3, description="s")
+    vibration_ramp: Parameter[Positive] = Field(0.02, description="s, to full amplitude and back")
+    vibration_period: NotNegative = Field(
         0.0, description="s from one beginning of the vibration to the next; 0: once"
     )
     table: str | None = Field(
@@ -115,18 +128,23 @@ class Motion(Section):
     angles_deg: Parameter[Numbers | None] = Field(
         None, description="degrees, angles at these times, right-handed about the axis"
     )
-    ways: Parameter[Points | None] = Field(
+    displacements: Parameter[Points | None] = Field(
         None, description="m at these times, from where the walls are given"
     )
 
     @model_validator(mode="after")
     def _has_what_its_keys_act_on(self) -> "Motion":
-        check_needed(self, HINGE_KEYS, "swing_deg" in self.model_fields_set, "without swing_deg")
-        check_needed(self, SHAKING_KEYS, "stroke" in self.model_fields_set, "without a stroke")
+        check_needed(
+            self,
+            HINGE_KEYS,
+            "opening_angle_deg" in self.model_fields_set,
+            "without opening_angle_deg",
+        )
+        check_needed(self, VIBRATION_KEYS, "stroke" in self.model_fields_set, "without a stroke")
         return self
 
 
-class Block(Section):
+class Region(Section):
     """A box in which settled mass is counted."""
 
     name: str = Field(pattern=NAME_PATTERN)

@@ -31,7 +31,7 @@ class Hinge:
     @staticmethod
     def is_requested(section: Motion) -> bool:
         """Whether the section's flap swings."""
-        return not is_zero(section.swing_deg)
+        return not is_zero(section.opening_angle_deg)
 
     @classmethod
     def from_sections(cls, sections: list[Motion]) -> "Hinge":
@@ -42,7 +42,7 @@ class Hinge:
         }
         return cls(
             as_array(stack_unit_axes(sections)),
-            as_array(stack_section_values(sections, "swing_deg") * (np.pi / 180)),
+            as_array(stack_section_values(sections, "opening_angle_deg") * (np.pi / 180)),
             **times,
         )
 

@@ -56,7 +56,8 @@ class Table:
         for group, row in enumerate(sections):
             times[: len(row.times or (0.0,)), group] = row.times or (0.0,)
         turns, shifts = (
-            any(getattr(row, key) is not None for row in sections) for key in ("angles_deg", "ways")
+            any(getattr(row, key) is not None for row in sections)
+            for key in ("angles_deg", "displacements")
         )
         axis, pivot = (
             (as_array(stack_unit_axes(sections)), as_array(stack_section_values(sections, "pivot")))
@@ -121,7 +122,7 @@ def _angles_in_radians(section: Motion) -> Any:
 
 def _displacement_columns(section: Motion) -> Any:
     """Displacements of a section's table along x, y and z, each [R] (m) or None."""
-    return (None,) * 3 if section.ways is None else as_float_array(section.ways).T
+    return (None,) * 3 if section.displacements is None else as_float_array(section.displacements).T
 
 
 def _pad_cubics(section: Motion, values: Any, most: int) -> list[Any]:
@@ -141,7 +142,9 @@ def load_table_rows(section: Motion, folder: str | Path) -> Motion:
     SceneError.
     """
     given = [
-        key for key in ("table", "times", "angles_deg", "ways") if getattr(section, key) is not None
+        key
+        for key in ("table", "times", "angles_deg", "displacements")
+        if getattr(section, key) is not None
     ]
     if not given:
         return section
@@ -191,7 +194,12 @@ def _read_table_file(section: Motion, path: Path) -> Motion:
         still = (0.0,) * len(lines)
         ways = tuple(zip(*(columns.get(axis, still) for axis in "xyz"), strict=True))
     return section.model_copy(
-        update={"table": None, "times": columns["time"], "angles_deg": angles, "ways": ways}
+        update={
+            "table": None,
+            "times": columns["time"],
+            "angles_deg": angles,
+            "displacements": ways,
+        }
     )
 
 

@@ -36,7 +36,14 @@ class Vibration:
     @classmethod
     def from_sections(cls, sections: list[Motion]) -> "Vibration":
         """Vibrations from one section per group, in numpy."""
-        keys = ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp", "shake_period")
+        keys = (
+            "stroke",
+            "frequency",
+            "vibration_start",
+            "vibration_end",
+            "vibration_ramp",
+            "vibration_period",
+        )
         return cls(*(as_array(stack_section_values(sections, key)) for key in keys))
 
     def moving_groups(self) -> np.ndarray:
@@ -74,8 +81,10 @@ class Vibration:
         """The key that keeps the section's wall vibrating beyond a run of a given duration (s),
         with its allowed values; None if it ends.
         """
-        if section.shake_period:
-            return f"shake_period = {section.shake_period:g}; allowed: 0 (once)"
-        if section.shake_end < duration:
+        if section.vibration_period:
+            return f"vibration_period = {section.vibration_period:g}; allowed: 0 (once)"
+        if section.vibration_end < duration:
             return None
-        return f"shake_end = {section.shake_end:g}; allowed: below run.duration = {duration:g}"
+        return (
+            f"vibration_end = {section.vibration_end:g}; allowed: below run.duration = {duration:g}"
+        )
