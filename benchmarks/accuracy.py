@@ -121,10 +121,10 @@ def plate(kind, start, number, precision, restitution=0.1, softening=0.01, **run
         "velocity": (0.0, 0.0, -SPEED),
     }
     step = quarter_period(kind["shape"], softening) / number
-    settings = {"step": step, "sample": step, "allow_unstable_step": True} | run
+    settings = {"time_step": step, "sample_interval": step, "allow_unstable_step": True} | run
     gravity = (0.0, 0.0, -GRAVITY)
     return validation.plate_scene(
-        piece, gravity, precision, settings, restitution=restitution, softening=softening
+        piece, gravity, precision, settings, restitution=restitution, numerical_softening=softening
     )
 
 
@@ -151,7 +151,9 @@ def spring(shape, softening, restitution=0.1):
     from dem_jax import assembly, validation
 
     kind = SPHERE if shape == "sphere" else PIECE
-    system = assembly.assemble_system(validation.plate_scene(kind, softening=softening)).system
+    system = assembly.assemble_system(
+        validation.plate_scene(kind, numerical_softening=softening)
+    ).system
     mass, stiffness = float(system.pieces.mass[0]), float(validation.wall_stiffness(system)[0])
     return validation.NormalImpact(mass, stiffness, restitution, SPEED, GRAVITY)
 
@@ -169,7 +171,7 @@ def impacts(
     window = window or WINDOW[kind["shape"]]
     quarter = quarter_period(kind["shape"], softening)
     length = round(window / (quarter / number)) * quarter / number
-    kept = {"duration": length, "frames": length}
+    kept = {"duration": length, "frame_interval": length}
     scene = plate(kind, begin[0], number, precision, restitution, softening, **kept)
     job = prepare_job(scene, (0,) * len(begin), len(begin))
     down, still = np.array([[0.0, 0.0, -SPEED]]), np.zeros((1, 3))

@@ -50,7 +50,7 @@ MODES = ("forward", "reverse", "reverse, checkpoint")
 
 def scene(name):
     """The scene of a row."""
-    run = {"precision": "f64", "energy": False}
+    run = {"precision": "f64", "track_energy": False}
     if name == IN_THE_BUCKET:
         return dem_jax.load_scene("weigh-bucket").replace(
             portion={"count": 1, "settling_time": 0.1}, run=run | {"duration": 0.05}

@@ -156,9 +156,14 @@ def settled(product: Product, count: int):
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     height = float(position[:, 2].max()) + size
     duration = round(float(np.sqrt(2 * 0.5 * height / 9.81)) + 0.35, 2)
-    run = {"duration": duration, "sample": 2e-4, "frames": duration, "energy": False}
+    run = {
+        "duration": duration,
+        "sample_interval": 2e-4,
+        "frame_interval": duration,
+        "track_energy": False,
+    }
     last = simulate(scene(product, width, height, position, turns, loose, run)).pieces
-    run = {"sample": 5e-5, "duration": 1e3, "frames": 0.0, "energy": False}
+    run = {"sample_interval": 5e-5, "duration": 1e3, "frame_interval": 0.0, "track_energy": False}
     packed = scene(
         product, width, height, last.position[-1], last.orientation[-1], {"restitution": 0.1}, run
     )

@@ -34,7 +34,7 @@ MAY_IMPORT = {  # package -> packages below it
     "types": set(),
     "math": set(),
     "shapes": {"errors", "math"},
-    "scene": {"errors"},
+    "scene": {"errors", "deprecation"},
     "walls": BASE | {"scene"},
     "contact_laws": BASE,
     "narrow_phase": BASE | {"walls"},
@@ -52,6 +52,7 @@ MAY_IMPORT = {  # package -> packages below it
     "cli": BASE
     | {
         "app",
+        "deprecation",
         "dynamics",
         "scene",
         "assembly",

@@ -307,7 +307,7 @@ def _motion(path: Path, _: str) -> str | None:
         .model_copy(update={"folder": str(path.parent)})
     )
     row = system.inline_files(scene).motion[0]
-    values = [row.times or (), row.angles_deg or (), *(row.ways or ())]
+    values = [row.times or (), row.angles_deg or (), *(row.displacements or ())]
     if not all(np.isfinite(v).all() for v in values):
         return "rows that are not finite"
     return None if (np.diff(row.times or ()) > 0).all() else "times that do not rise"

@@ -21,11 +21,11 @@ def start(box: p.Packing):
     from dem_jax.runner.job_setup import prepare_job
 
     settings = {
-        "step": p.STEP,
-        "sample": SUBSTEPS * p.STEP,
+        "time_step": p.STEP,
+        "sample_interval": SUBSTEPS * p.STEP,
         "duration": 1e3,
-        "frames": 0.0,
-        "energy": False,
+        "frame_interval": 0.0,
+        "track_energy": False,
     }
     material = {"restitution": p.RESTITUTION}
     scene = p.scene(

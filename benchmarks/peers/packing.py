@@ -98,7 +98,12 @@ def settled(shape, count) -> Path:
     position, orientation = lattice(shape, count, width, np.random.default_rng(0))
     height = float(position[:, 2].max()) + BOUNDING[shape]
     duration = round(float(np.sqrt(2 * 0.5 * height / GRAVITY)) + 0.35, 2)
-    settings = {"duration": duration, "sample": 2e-4, "frames": duration, "energy": False}
+    settings = {
+        "duration": duration,
+        "sample_interval": 2e-4,
+        "frame_interval": duration,
+        "track_energy": False,
+    }
     loose = scene(
         shape,
         width,

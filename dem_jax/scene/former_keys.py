@@ -46,11 +46,8 @@ _STATISTICS = {
     "cells": "map_resolution",
 }
 _INLET = {"waiting": "reservoir", "every": "interval", "low": "box_low", "high": "box_high"}
-_SHAPE = {
-    "max_corners": "max_vertices",
-    "joint_tolerance": "coplanarity_tolerance",
-    "loss": "max_volume_loss",
-}
+_PART = {"max_corners": "max_vertices"}
+_SHAPE = _PART | {"joint_tolerance": "coplanarity_tolerance", "loss": "max_volume_loss"}
 FORMER_KEYS = {  # dotted section, without places in lists -> former key -> key
     "": {"block": "region"},
     "run": _RUN,
@@ -63,7 +60,8 @@ FORMER_KEYS = {  # dotted section, without places in lists -> former key -> key
     "statistics": _STATISTICS,
     "inlet": _INLET,
     "outlet": {"below": "z_max", "every": "interval"},
-    **{f"{row}{part}": _SHAPE for row in ("piece", "portion", "portion.product") for part in ("", ".part")},
+    **dict.fromkeys(("piece", "portion", "portion.product"), _SHAPE),
+    **dict.fromkeys(("piece.part", "portion.part", "portion.product.part"), _PART),
     "evidence": _MATERIAL | _SHAPE,
 }  # fmt: skip
 FORMER_VALUES = {"run.on_escape": {"note": "warn"}}
@@ -109,6 +107,25 @@ def rename_key(key: str) -> str:
             section = f"{section}.{part}".lstrip(".")
         parts.append(part)
     return ".".join(parts)
+
+
+def accept_section(given: Any, section: str) -> Any:
+    """The keys given to a class of sections by their names of now, with a note for each former one.
+
+    Raises ValueError for a key that is given by both of its names.
+    """
+    names = FORMER_KEYS.get(SECTION_CLASSES.get(section, "-"), {})
+    if not isinstance(given, dict) or names.keys().isdisjoint(given):
+        return given
+    out = {}
+    for key, item in given.items():
+        renamed = names.get(key, key)
+        if renamed != key:
+            if renamed in given:
+                raise ValueError(f"{renamed}: is given as {key} as well; allowed: one of the two")
+            warn_of_name(f"{section}.{key}", renamed)
+        out[renamed] = _rename_value(f"{SECTION_CLASSES[section]}.{renamed}", item)
+    return out
 
 
 def accept_key(key: str) -> str:

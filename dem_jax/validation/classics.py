@@ -150,7 +150,9 @@ def spinning_problem() -> Problem:
         "step": step / 4,
         "energy": False,
     }
-    scene = plate_scene(piece, run=run, softening=1e-5)  # nothing touches: the step is that of the
+    scene = plate_scene(
+        piece, run=run, numerical_softening=1e-5
+    )  # nothing touches: the step is that of the
     # spin
     return Problem(
         name="a marshmallow that spins about its middle axis",

@@ -51,7 +51,7 @@ def _impact_scene(
         "energy": False,
     }
     return plate_scene(
-        piece, run=run, softening=1.0, friction_wall=0.0, friction_piece=0.0, **material
+        piece, run=run, numerical_softening=1.0, friction_wall=0.0, friction_piece=0.0, **material
     ).replace(contact=contact)
 
 
@@ -78,7 +78,7 @@ def potato_problem() -> Problem:
     radius = sphere_radius(POTATO_MASS, POTATO_DENSITY)
     scene = _impact_scene(
         radius, POTATO_SPEEDS[0], 8e-3, {}, density=POTATO_DENSITY,
-        youngs_modulus=np.pi * POTATO_STRESS, restitution=POTATO_RESTITUTION, separation=0.0,
+        youngs_modulus=np.pi * POTATO_STRESS, restitution=POTATO_RESTITUTION, separation_slope_ratio=0.0,
     )  # fmt: skip
 
     def read_potato(run: Run) -> ComparedValues:

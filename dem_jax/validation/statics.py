@@ -76,7 +76,7 @@ def tower_problem() -> Problem:
         pieces,
         {"left": table, "right": floor},
         0.12,
-        softening=0.1,
+        numerical_softening=0.1,
         friction_wall=0.5,
         friction_piece=0.5,
     )
@@ -131,7 +131,7 @@ def groove_problem(shape: str) -> Problem:
     volume = sum(4 / 3 * np.pi * r**3 if shape == "sphere" else 0.03 * r * r for r in sizes)
     weight = DENSITY * GRAVITY * volume
     scene = _resting_scene(
-        pieces, sides, 0.03, softening=0.1, friction_wall=0.0, friction_piece=0.5
+        pieces, sides, 0.03, numerical_softening=0.1, friction_wall=0.0, friction_piece=0.5
     )
     up = np.array([[np.sin(left), 0.0, np.cos(left)], [-np.sin(right), 0.0, np.cos(right)]])
     share = np.array([np.sin(right), np.sin(left)]) / np.sin(left + right)

@@ -105,7 +105,7 @@ def test_random_scenes_keep_their_invariants(
     least = density * (3 * speed / 0.2) ** 2 / 1e8 * 4
     softening = min(1.0, max(10**logarithm, least))
     scene = axes.pieces(rows, run__duration=0.03 * size / speed**0.5).replace(
-        {f"material.{k}": v for k, v in {**material, "softening": softening}.items()}
+        {f"material.{k}": v for k, v in {**material, "numerical_softening": softening}.items()}
     )
     dt = 6e-6 * size * (density / 300 / softening * 0.01) ** 0.5  # about the automatic step's
     scene = scene.replace({"run.sample_interval": 16 * dt, "run.duration": 16 * dt * 150})

@@ -139,12 +139,12 @@ def test_the_time_left_is_that_of_the_pace_and_of_the_stages_to_come(monkeypatch
 
 def test_the_scene_of_a_product():
     scene = load_product_scene(ProductRequest("marshmallow"))
-    assert (scene.name, scene.run.duration, scene.run.frames, scene.run.sample) == (
-        "marshmallow",
-        0.42,
-        0.0,
-        30e-6,
-    )
+    assert (
+        scene.name,
+        scene.run.duration,
+        scene.run.frame_interval,
+        scene.run.sample_interval,
+    ) == ("marshmallow", 0.42, 0.0, 30e-6)
     assert portion_masses(scene).sum() == pytest.approx(9 * 5.832e-3, rel=1e-12)
     request = ProductRequest(
         "hazelnut", "5.4-litre", 0.1, settings={"material.restitution": 0.5, "run.duration": 0.3}

@@ -21,7 +21,7 @@ COMPUTED = ["sphere", pytest.param("marshmallow", marks=pytest.mark.long)]
 
 def step_of(kind, asked, restitution=0.1, precision="f64", **settings):
     """The choice of the time step of an impact with ``run.accuracy``."""
-    settings = {"accuracy": asked, "precision": precision, "sample": 1e-3} | settings
+    settings = {"accuracy": asked, "precision": precision, "sample_interval": 1e-3} | settings
     return assembly.assemble_system(
         validation.plate_scene(KINDS[kind], run=settings, restitution=restitution)
     ).step

@@ -75,7 +75,7 @@ EXTREME = [  # numbers that are finite but that nobody means; --set of plate-dro
     ("material.density=1e-31", r"density = 1e-31: allowed: numbers whose size is 1e-30 to 1e\+30, and 0 where that may be"),
     ("material.numerical_softening=1e300", r"softening = 1e\+300: allowed: numbers whose size is"),
     ("run.gravity=[0, 0, -1e31]", r"gravity = -1e\+31: allowed: numbers whose size is"),
-    ("run.max_rebuild_interval=1000000000000", r"rebuild_steps = 1000000000000: allowed: a whole number >= 1 and <= 65536"),
+    ("run.max_rebuild_interval=1000000000000", r"max_rebuild_interval = 1000000000000: allowed: a whole number >= 1 and <= 65536"),
     (f"piece.0.max_parts=1{400 * '0'}", r"max_parts = a large whole number: allowed"),
     ("material.density=1e-20", r"[\d.e+]+ steps of [\d.e-]+ s; allowed: at most 2\.1\d+e\+09; .* is material\.density = 1e-20"),
     ("run.duration=1e9", r"steps of .*furthest from what is usual is run\.duration = 1e\+09"),

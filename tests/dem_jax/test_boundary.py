@@ -42,7 +42,13 @@ def test_smooth_step_is_smooth_at_its_ends():
 
 
 def test_a_flap_opens_dwells_closes_and_does_so_again():
-    times = {"swing_deg": 0.0, "start": 0.1, "opening": 0.2, "dwell": 0.3, "closing": 0.4}
+    times = {
+        "opening_angle_deg": 0.0,
+        "opening_start": 0.1,
+        "opening_time": 0.2,
+        "hold_time": 0.3,
+        "closing_time": 0.4,
+    }
     once, again = (
         Hinge.from_sections([Motion(group="flap", **times, period=period)]) for period in (0.0, 2.0)
     )
@@ -67,9 +73,9 @@ def test_a_vibration_is_a_sine_that_starts_and_ends_gently():
     keys = {
         "stroke": (0.0, 0.0, 0.0),
         "frequency": 5.0,
-        "shake_start": 1.0,
-        "shake_end": 3.0,
-        "shake_ramp": 0.1,
+        "vibration_start": 1.0,
+        "vibration_end": 3.0,
+        "vibration_ramp": 0.1,
     }
     vibration = Vibration.from_sections([Motion(group="pan", **keys)])
     for t in (0.5, 1.0, 3.0, 3.5):
@@ -86,16 +92,16 @@ def plate(group, half=0.1, z=0.0, **more):
     return {"group": group, "corners": corners, **more}
 
 
-SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
+SETTINGS = {"precision": "f64", "sample_interval": 1e-4, "frame_interval": 0.0}
 MOVING = (
     {
         "group": "flap",
         "pivot": (0.1, 0.02, 0.01),
         "axis": (0.2, 1.0, 0.3),
-        "swing_deg": 65.0,
-        "start": 0.01,
+        "opening_angle_deg": 65.0,
+        "opening_start": 0.01,
     },
-    {"group": "pan", "stroke": (1e-3, 0.0, 5e-4), "frequency": 50.0, "shake_end": 0.5},
+    {"group": "pan", "stroke": (1e-3, 0.0, 5e-4), "frequency": 50.0, "vibration_end": 0.5},
 )
 
 
@@ -151,7 +157,7 @@ def test_a_piece_rides_on_a_vibrating_plate(stroke):
     """Ten strokes a second: up, at 0.4 g, it stays on; along, at 0.08 g, it sticks. The plate's
     work closes the ledger.
     """
-    motion = [{"group": "plate", "stroke": stroke, "frequency": 10.0, "shake_ramp": 0.02}]
+    motion = [{"group": "plate", "stroke": stroke, "frequency": 10.0, "vibration_ramp": 0.02}]
     piece = {"position": (0.0, 0.0, 0.008 - 1e-6)}
     scene = Scene(piece=[piece], wall=[plate("plate")], motion=motion, run=SETTINGS)
     made = assembly.assemble_system(scene, 0)
@@ -184,8 +190,8 @@ def test_the_torque_of_a_flap_is_force_times_arm():
             "group": "flap",
             "pivot": (0.1, 0.0, 0.0),
             "axis": (0.0, 1.0, 0.0),
-            "swing_deg": 30.0,
-            "opening": 0.2,
+            "opening_angle_deg": 30.0,
+            "opening_time": 0.2,
         }
     ]
     made = assembly.assemble_system(

@@ -170,7 +170,7 @@ def test_a_piece_in_a_tray_of_sheet_does_what_it_does_on_a_panel(piece, tmp_path
         "stl": {"stl": str(tmp_path / "tray.stl")},
         "corners": {"corners": flat, "thickness": 0.05},
     }
-    run = {"precision": "f64", "duration": 0.5, "energy": False}
+    run = {"precision": "f64", "duration": 0.5, "track_energy": False}
     still = load_scene("plate-drop").replace(
         region=[], material={"rest_damping": 0.2}, run=run, piece=[piece]
     )

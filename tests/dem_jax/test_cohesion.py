@@ -110,7 +110,7 @@ def pair_of_spheres(law):
     pieces = [
         {"shape": "sphere", "radius": 0.0167, "position": (0.0, 0.0, s * 0.01671)} for s in (-1, 1)
     ]
-    run = {"precision": "f64", "gravity": (0.0, 0.0, 0.0), "frames": 0.0}
+    run = {"precision": "f64", "gravity": (0.0, 0.0, 0.0), "frame_interval": 0.0}
     material = {
         "restitution": 1.0,
         "pull_off": PULL_OFF,

@@ -22,7 +22,7 @@ from dem_jax.visualization.wall_impacts import (
 from tests.dem_jax.stored import stored
 
 RADIUS, SPEED, EPSILON = 0.01, 2.0, 0.8
-ASKED = {"slowest": 0.1, "fastest": 2.5, "speeds": 25, "cells": 4}
+ASKED = {"min_speed": 0.1, "max_speed": 2.5, "speed_bins": 25, "map_resolution": 4}
 AT = (0.03, -0.07)  # m: where it hits
 SIDE = 0.1  # m: half of the plates'
 
@@ -218,8 +218,8 @@ def test_the_command_prints_and_draws(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"cells": 0}, "statistics.map_resolution"),
-        ({"fastest": 0.005}, "slowest = 0.01: allowed: below fastest"),
+        ({"map_resolution": 0}, "statistics.map_resolution"),
+        ({"max_speed": 0.005}, "min_speed = 0.01: allowed: below max_speed"),
         ({"bins": 3}, "bins"),
     ],
 )

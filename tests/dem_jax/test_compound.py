@@ -56,7 +56,7 @@ TUBE = {"shape": "tube", "outer_radius": 0.012, "inner_radius": 0.009, "height":
 
 
 def started(piece, **run):
-    settings = {"precision": "f64", "sample": 2e-5, "frames": 0.0} | run
+    settings = {"precision": "f64", "sample_interval": 2e-5, "frame_interval": 0.0} | run
     return assembly.assemble_system(
         load_scene("plate-drop").replace(piece=[piece], run=settings), 0
     )
@@ -164,7 +164,11 @@ def test_an_eccentric_impact_on_one_ball_of_two():
         "velocity": (0, 0, -1.0),
     }
     scene = validation.plate_scene(
-        piece, softening=100.0, restitution=0.5, separation=0.0, friction_wall=0.0
+        piece,
+        numerical_softening=100.0,
+        restitution=0.5,
+        separation_slope_ratio=0.0,
+        friction_wall=0.0,
     )
     made = assembly.assemble_system(scene)
     assert made.system.has_rotation and made.system.has_hulls and made.system.hulls is None
@@ -207,7 +211,13 @@ WALLS = [
 
 
 def boxed(pieces, **settings):
-    run = {"precision": "f64", "duration": 0.05, "sample": 1e-4, "frames": 0.01, "energy": True}
+    run = {
+        "precision": "f64",
+        "duration": 0.05,
+        "sample_interval": 1e-4,
+        "frame_interval": 0.01,
+        "track_energy": True,
+    }
     return Scene(
         piece=pieces, wall=[{"group": "box", "corners": c} for c in WALLS], run=run | settings
     )

@@ -89,7 +89,12 @@ def cluster(shapes):
                 "angular_velocity": motion[1].tolist(),
             }
         )
-    settings = {"precision": "f64", "gravity": (0.0, 0.0, 0.0), "sample": 1e-4, "frames": 0.0}
+    settings = {
+        "precision": "f64",
+        "gravity": (0.0, 0.0, 0.0),
+        "sample_interval": 1e-4,
+        "frame_interval": 0.0,
+    }
     return Scene(piece=pieces, run=settings)
 
 
@@ -159,7 +164,7 @@ def bucket(precision):
         for k in (-1, 0, 1)
     ]
     flaps = {"opening_start": 0.045, "opening_time": 0.03}
-    settings = {"precision": precision, "sample": 1e-4, "frames": 0.0}
+    settings = {"precision": precision, "sample_interval": 1e-4, "frame_interval": 0.0}
     return Scene(piece=pieces, weigh_bucket=flaps, run=settings)
 
 
@@ -291,7 +296,7 @@ def box(restitution):
     walls = [{"group": "floor", "corners": floor}] + [
         {"group": "sides", "corners": side} for side in sides
     ]
-    settings = {"precision": "f64", "sample": 5e-4, "frames": 0.0}
+    settings = {"precision": "f64", "sample_interval": 5e-4, "frame_interval": 0.0}
     return Scene(piece=pieces, wall=walls, material={"restitution": restitution}, run=settings)
 
 

@@ -91,7 +91,7 @@ def test_a_delay_moves_what_it_should():
     )
     assert late.weigh_bucket.opening_start == pytest.approx(-0.1)  # time zero is when FB opens
     assert late.feed_bucket.opening_start == 0.0
-    assert late.feed_bucket.open_dwell == pytest.approx(
+    assert late.feed_bucket.hold_time == pytest.approx(
         0.12
     ) and late.feed_bucket.closing_time == pytest.approx(0.1)
     assert late.feeder.start == pytest.approx(0.3) and late.feeder.duration == pytest.approx(0.6)

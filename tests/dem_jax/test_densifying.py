@@ -149,7 +149,7 @@ def test_the_step_resolves_the_stiffest_part():
     no overlap that is too deep.
     """
     scene = load_scene("weigh-bucket", {"product": "marshmallow-soft"})
-    assert scene.contact.law == "densifying" and scene.material.softening == 1.0
+    assert scene.contact.law == "densifying" and scene.material.numerical_softening == 1.0
     assert scene.material.youngs_modulus == 3e4 and scene.material.youngs_modulus_range == (
         1.5e4,
         1.5e5,

@@ -9,6 +9,8 @@ import pytest
 
 from dem_jax import deprecation
 
+pytestmark = pytest.mark.filterwarnings("default::dem_jax.deprecation.FormerNameWarning")
+
 
 @pytest.mark.parametrize(
     ("module", "former", "name"),

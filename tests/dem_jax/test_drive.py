@@ -41,14 +41,14 @@ def scene(drive=DRIVE, duration=0.6, motion=None, **run):
     swing = {
         "group": "flap",
         "pivot": (0, HINGE, DOWN),
-        "swing_deg": 30.0,
-        "start": -0.1,
-        "opening": 0.1,
-        "dwell": 0.0,
+        "opening_angle_deg": 30.0,
+        "opening_start": -0.1,
+        "opening_time": 0.1,
+        "hold_time": 0.0,
     }
     swing |= {"closing": 0.2, "drive": drive} | (motion or {})
     piece = {"shape": "chamfered-cuboid", "position": (0.0, 0.0, 0.008)}
-    settings = {"duration": duration, "frames": 0.0, "precision": "f64"} | run
+    settings = {"duration": duration, "frame_interval": 0.0, "precision": "f64"} | run
     damped = {"law": "linear-dashpot"}  # so that all comes to rest soon
     return Scene(piece=[piece], wall=[plate, flap], motion=[swing], contact=damped, run=settings)
 
@@ -105,7 +105,7 @@ def test_a_flap_that_has_come_back_is_locked():
 
 @cache
 def pressed(torque):
-    return dem_jax.simulate(scene(DRIVE | {"torque": torque}, frames=0.6))
+    return dem_jax.simulate(scene(DRIVE | {"torque": torque}, frame_interval=0.6))
 
 
 @pytest.mark.parametrize("torque", [TORQUE, 0.1])
@@ -294,7 +294,7 @@ def test_the_step_is_stable_with_a_flap_that_weighs_next_to_nothing():
     [
         ({"drive": {"torque": 0.0}}, "torque"),
         ({"drive": {"power": 1.0}}, "power"),
-        ({"swing_deg": 0.0}, "swing_deg = 0"),
+        ({"opening_angle_deg": 0.0}, "swing_deg = 0"),
         ({"times": (0.0, 1.0), "angles_deg": (0.0, 5.0)}, "table of angles"),
     ],
 )

@@ -28,7 +28,9 @@ RESTITUTION = 0.5
 @cache
 def built(softening):
     return assembly.assemble_system(
-        validation.plate_scene({}, softening=softening, restitution=RESTITUTION, separation=0.0)
+        validation.plate_scene(
+            {}, numerical_softening=softening, restitution=RESTITUTION, separation_slope_ratio=0.0
+        )
     )
 
 

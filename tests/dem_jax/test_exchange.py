@@ -14,7 +14,12 @@ from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 
 RADIUS = 0.01
-INLET = {"mass_rate": 0.06, "waiting": 3, "low": (-0.18, -0.05, 0.2), "high": (-0.05, 0.05, 0.3)}
+INLET = {
+    "mass_rate": 0.06,
+    "reservoir": 3,
+    "box_low": (-0.18, -0.05, 0.2),
+    "box_high": (-0.05, 0.05, 0.3),
+}
 RAMP = {
     "group": "ramp",
     "corners": [(-0.2, -0.1, 0.1), (0.2, -0.1, 0.0), (0.2, 0.1, 0.0), (-0.2, 0.1, 0.1)],
@@ -157,7 +162,7 @@ def test_what_is_left_open_follows_from_the_scene():
         regions[1][0][0] / 2 + regions[1][1][0] / 2
     )
     assert low[2] == regions[1][1][2]  # above the sides of the pan
-    assert goods.numbers == (9, 4, scene.inlet.waiting)
+    assert goods.numbers == (9, 4, scene.inlet.reservoir)
     with jax.enable_x64(False):
         # what waits far away does not count
         assert precision_check.note_low_precision(scene, assembly.assemble_system(scene)) is None

@@ -42,7 +42,11 @@ def read(mesh, tmp_path):
 
 @pytest.mark.parametrize(
     "sizes",
-    [{}, {"mouth": (0.17, 0.15), "flap_angle_deg": 45.0}, {"lap": 0.0, "wall_height": 0.02}],
+    [
+        {},
+        {"opening_size": (0.17, 0.15), "flap_angle_deg": 45.0},
+        {"panel_overlap": 0.0, "wall_height": 0.02},
+    ],
 )
 def test_the_grid_finds_what_a_bucket_of_sizes_holds(sizes):
     bucket = Bucket(**sizes)
@@ -103,7 +107,9 @@ def test_closed_bodies_hold_what_water_would_fill(make, volume, tmp_path):
 def test_a_slit_between_flaps_holds_pieces_and_a_wide_gap_does_not():
     panels = [
         corners
-        for _, corners, _ in bucket_geometry.build_bucket_parts(Bucket(lap=0.0), "wb", 0.0).panels
+        for _, corners, _ in bucket_geometry.build_bucket_parts(
+            Bucket(panel_overlap=0.0), "wb", 0.0
+        ).panels
     ]
     for gap, holds in ((0.003, True), (0.02, False)):
         apart = [

@@ -28,7 +28,12 @@ def ball(**material):
         "position": (0.0, 0.0, HEIGHT),
         "velocity": (0.0, 0.0, -SPEED),
     }
-    run = {"step": DT, "sample": 2 * DT, "duration": STEPS * DT, "rebuild_steps": BLOCK}
+    run = {
+        "time_step": DT,
+        "sample_interval": 2 * DT,
+        "duration": STEPS * DT,
+        "max_rebuild_interval": BLOCK,
+    }
     smooth = {"friction_wall": 0.0, "friction_piece": 0.0, "restitution": 0.4} | material
     return plate_scene(piece, (0.0, 0.0, -9.81), run=run, **smooth)
 

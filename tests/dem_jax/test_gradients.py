@@ -54,7 +54,12 @@ STEPS = 320  # to 1.28 ms, when the piece is on its way out; the force pulse end
 def built(shape):
     piece, half = PIECES[shape]
     piece = piece | {"position": (0.0, 0.0, half + HEIGHT), "velocity": (0.0, 0.0, -SPEED)}
-    run = {"step": DT, "sample": DT, "rebuild_steps": 40, "energy": False}
+    run = {
+        "time_step": DT,
+        "sample_interval": DT,
+        "max_rebuild_interval": 40,
+        "track_energy": False,
+    }
     smooth = {"friction_piece": 0.0, "friction_wall": 0.0}
     return assembly.assemble_system(
         validation.plate_scene(piece, (0.0, 0.0, -G), run=run, restitution=EPSILON, **smooth)

@@ -47,8 +47,8 @@ def scene(turn=SAME, shift=(0.0, 0.0, 0.0), order=range(4)):
         walls.append({"group": group, "corners": (moved if hand > 0 else moved[::-1]).tolist()})
     settings = {
         "precision": "f64",
-        "sample": 1e-4,
-        "frames": 0.0,
+        "sample_interval": 1e-4,
+        "frame_interval": 0.0,
         "gravity": (turn @ GRAVITY).tolist(),
     }
     return Scene(piece=rows, wall=walls, run=settings)

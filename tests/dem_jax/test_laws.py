@@ -31,7 +31,9 @@ STEPS = 400
 def built(law, shape="sphere", precision="f64", friction=0.0):
     """With friction so stiff that the arm of the contact point is the radius."""
     stiff = (
-        {"youngs_modulus": 1e12, "wall_youngs_modulus": 1e15, "softening": 1.0} if friction else {}
+        {"youngs_modulus": 1e12, "wall_youngs_modulus": 1e15, "numerical_softening": 1.0}
+        if friction
+        else {}
     )
     mu = {"friction_wall": friction, "friction_piece": friction}
     scene = validation.plate_scene(PIECES[shape][0], precision=precision, **mu, **stiff)
@@ -170,7 +172,7 @@ def test_the_default_step_gives_the_restitution_within_a_percent(law, precision)
 
 
 def _speed(law):
-    return {"impact_speed": SPEED} if law == "hertz-mindlin" else {}
+    return {"max_impact_speed": SPEED} if law == "hertz-mindlin" else {}
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -256,7 +258,7 @@ ALUMINIUM, MAGNESIUM = (
 def hertz_material(modulus, ratio, density):
     rigid = {
         "wall_youngs_modulus": 1e25,
-        "softening": 1.0,
+        "numerical_softening": 1.0,
         "friction_wall": 0.0,
         "friction_piece": 0.0,
         "restitution": 1.0,
@@ -284,9 +286,15 @@ def test_elastic_impacts_of_chung_and_ooi(material):
     radius, closing = (0.01, 20.0) if pairs else (0.1, 0.2)
     lasting = 2.943275 * deepest / closing
     dt = lasting / 300
-    run = {"precision": "f64", "step": dt, "sample": dt, "frames": 0.0, "gravity": (0.0, 0.0, 0.0)}
+    run = {
+        "precision": "f64",
+        "time_step": dt,
+        "sample_interval": dt,
+        "frame_interval": 0.0,
+        "gravity": (0.0, 0.0, 0.0),
+    }
     sphere, gap = {"shape": "sphere", "radius": radius}, 0.5 * dt * closing
-    contact = {"law": "hertz-mindlin", "impact_speed": closing}
+    contact = {"law": "hertz-mindlin", "max_impact_speed": closing}
     if pairs:
         pieces = [
             sphere

@@ -38,12 +38,18 @@ def mixture(sides):
 # the overlap grows by turning.
 CASES = {
     "linear-dashpot": ({"law": "linear-dashpot"}, {}),
-    "hertz-mindlin": ({"law": "hertz-mindlin", "impact_speed": 2.0}, {}),
-    "densifying": ({"law": "densifying", "impact_speed": 2.0}, {}),
-    "elastic-plastic": ({"law": "elastic-plastic", "impact_speed": 2.0, "yield_pressure": 1e5}, {}),
-    "sticky walton-braun": ({"cohesion": {"range": 1e-3}}, {"pull_off": 0.3, "separation": 0.0}),
+    "hertz-mindlin": ({"law": "hertz-mindlin", "max_impact_speed": 2.0}, {}),
+    "densifying": ({"law": "densifying", "max_impact_speed": 2.0}, {}),
+    "elastic-plastic": (
+        {"law": "elastic-plastic", "max_impact_speed": 2.0, "yield_pressure": 1e5},
+        {},
+    ),
+    "sticky walton-braun": (
+        {"cohesion": {"interaction_range": 1e-3}},
+        {"pull_off": 0.3, "separation_slope_ratio": 0.0},
+    ),
     "sticky hertz-mindlin": (
-        {"law": "hertz-mindlin", "impact_speed": 2.0, "cohesion": {"range": 2e-4}},
+        {"law": "hertz-mindlin", "max_impact_speed": 2.0, "cohesion": {"interaction_range": 2e-4}},
         {"pull_off": 0.05},
     ),
 }
@@ -73,7 +79,7 @@ def box(contact, material, run, sides=6):
             # within
             corners = [0.05 * (side * np.eye(3)[axis] + u * first + v * second) for u, v in turn]
             walls.append({"group": "box", "corners": [c.tolist() for c in corners]})
-    settings = {"precision": "f64", "sample": 2e-4, "frames": 0.0}
+    settings = {"precision": "f64", "sample_interval": 2e-4, "frame_interval": 0.0}
     return Scene(piece=pieces, wall=walls, material=material, contact=contact, run=settings | run)
 
 
@@ -132,7 +138,7 @@ def falling(law, **changes):
         "orientation": (0.9, 0.2, 0.4, 0.1),
         "velocity": (0.3, 0.0, -1.0),
     }
-    run = {"duration": 0.012, "frames": 2e-3, "sample": 1e-4, "precision": "f64"}
+    run = {"duration": 0.012, "frame_interval": 2e-3, "sample_interval": 1e-4, "precision": "f64"}
     scene = load_scene("plate-drop").replace(piece=[piece], run=run, contact={"law": law})
     return scene.replace(changes) if changes else scene
 
@@ -226,7 +232,12 @@ def test_a_law_of_one_s_own_is_run_kept_by_name_and_asked_for_again():
         "position": (0.0, 0.0, 0.0177),
         "velocity": (0.0, 0.0, -1.0),
     }
-    run = {"duration": 0.012, "frames": 0.0, "sample": 2e-5, "gravity": (0.0, 0.0, 0.0)}
+    run = {
+        "duration": 0.012,
+        "frame_interval": 0.0,
+        "sample_interval": 2e-5,
+        "gravity": (0.0, 0.0, 0.0),
+    }
     scene = load_scene("plate-drop").replace(piece=[piece], run=run)
     whole = dem_jax.simulate(scene, law=Plateau(5.0), out="whole.h5")
     assert whole.info["law"] == "Plateau" and "20 steps" in whole.info["limit"]
@@ -254,7 +265,7 @@ def test_a_law_of_one_s_own_is_run_kept_by_name_and_asked_for_again():
 
 
 def test_a_scene_names_its_law_and_comes_back():
-    contact = {"law": "hertz-mindlin", "cohesion": {"range": 2e-4}}
+    contact = {"law": "hertz-mindlin", "cohesion": {"interaction_range": 2e-4}}
     scene = load_scene("plate-drop").replace(contact=contact, material={"pull_off": 0.1})
     assert parse_scene(scene.to_toml()) == scene == parse_scene(describe_scene(scene))
     law = assembly.contact_law.build_contact_law(scene)

@@ -23,7 +23,7 @@ def test_every_product_is_a_portion(name):
     weights = [scene.material.density * shape.volume for shape in goods.shapes]
     assert sum(weights) == pytest.approx(0.05, abs=0.5 * max(weights) + 1e-9)
     assert 0.05e-3 < max(weights) < 0.05, "a piece that a scale drops several of"
-    stiff = scene.material.youngs_modulus * scene.material.softening
+    stiff = scene.material.youngs_modulus * scene.material.numerical_softening
     softest = 1e5 if scene.contact.law == "walton-braun" else 3e4  # a foam stiffens
     assert softest <= stiff <= 1e7, "neither too soft to land nor too slow to compute"
     assert stiff == scene.material.youngs_modulus or stiff >= 1e6 * (1 - 1e-9), (
@@ -108,13 +108,13 @@ def test_every_bucket_is_that_of_a_scene(name):
         and feed.opening_angle_deg > 0.0
         and feed.opening_start == 0.0
     )
-    assert all(f < w for f, w in zip(feed.mouth, weigh.mouth, strict=True))
+    assert all(f < w for f, w in zip(feed.opening_size, weigh.opening_size, strict=True))
     bottom, top = scene.drop.height, flap_depth(weigh) + weigh.wall_height
-    hinge, flap = bottom + flap_depth(feed), np.hypot(flap_depth(feed), feed.mouth[1] / 2)
+    hinge, flap = bottom + flap_depth(feed), np.hypot(flap_depth(feed), feed.opening_size[1] / 2)
     opened = np.radians(feed.flap_angle_deg + feed.opening_angle_deg)  # from the horizontal,
     # through the vertical
     swept = [
-        hinge - (flap + feed.lap) * np.sin(angle)
+        hinge - (flap + feed.panel_overlap) * np.sin(angle)
         for angle in np.linspace(np.radians(feed.flap_angle_deg), opened, 50)
     ]
     assert min(swept) > top, "open flaps stand above the weigh bucket"
@@ -128,7 +128,7 @@ def test_a_bucket_by_name_takes_sizes_and_is_changed():
         )
     scene = load_scene("own.toml", {"weigh_bucket.wall_height": 0.2})
     assert (
-        scene.weigh_bucket.mouth == (0.17, 0.15)
+        scene.weigh_bucket.opening_size == (0.17, 0.15)
         and scene.drop.height == 0.4
         and scene.weigh_bucket.wall_height == 0.2
     )
@@ -191,7 +191,7 @@ def test_a_bucket_may_be_a_file_and_stl_files_are_beside_it(tmp_path):
         "[weigh_bucket]\nopening_size = [0.16, 0.14]\n[drop]\nheight = 0.2\n"
     )
     scene = load_scene("weigh-bucket", {"bucket": "parts/bucket.toml"})
-    assert scene.weigh_bucket.mouth == (0.16, 0.14) and scene.drop.height == 0.2
+    assert scene.weigh_bucket.opening_size == (0.16, 0.14) and scene.drop.height == 0.2
     (folder / "bean.toml").write_text(
         '[portion]\nshape = "hull"\nstl = "bean.stl"\nunit = 0.001\npiece_weight = 0.001\n'
     )

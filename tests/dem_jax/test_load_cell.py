@@ -38,7 +38,12 @@ def scene(cell=CELL, height=TOUCH, speed=0.0, run=None, bucket=None, **material)
         "velocity": (0.0, 0.0, -speed),
     }
     smooth = {"restitution": 1.0, "friction_wall": 0.0, "friction_piece": 0.0} | material
-    settings = {"precision": "f64", "frames": 0.0, "duration": 0.1, "sample": 1e-4} | (run or {})
+    settings = {
+        "precision": "f64",
+        "frame_interval": 0.0,
+        "duration": 0.1,
+        "sample_interval": 1e-4,
+    } | (run or {})
     weigh_bucket = {"opening_angle_deg": 0.0, "load_cell": cell} | (bucket or {})
     return Scene(piece=[piece], weigh_bucket=weigh_bucket, run=settings, material=smooth)
 

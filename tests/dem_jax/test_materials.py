@@ -188,7 +188,7 @@ def critical_step(scene, mass, size):
     """
     table = material_properties.build_material_table(scene)
     row = material_properties.find_piece_rows(table, [piece.material for piece in scene.piece])
-    modulus = scene.material.softening * table.youngs_modulus * size
+    modulus = scene.material.numerical_softening * table.youngs_modulus * size
     found = []
     for i, a in enumerate(row):
         bodies = [(b, mass[i] * mass[j] / (mass[i] + mass[j])) for j, b in enumerate(row) if j != i]
@@ -222,7 +222,7 @@ MISTAKES = [  # changes of the scene -> what the line must hold
     ({"material.restitutoin": 0.3}, r"material\.restitutoin = 0\.3: unknown key; did you mean 'restitution'\? allowed: density, "),
     ({"material.gummy.restitutoin": 0.3}, r"material\.gummy\.restitutoin = 0\.3: unknown key; did you mean 'restitution'\?"),
     ({"material.gummy.restitution": 1.5}, r"material\.gummy\.restitution = 1\.5: allowed: a number > 0 and <= 1"),
-    ({"material.gummy.softening": 1.0}, r"material\.gummy\.softening = 1\.0: unknown key; allowed: density, youngs_modulus"),
+    ({"material.gummy.numerical_softening": 1.0}, r"numerical_softening = 1\.0: unknown key; allowed: density, youngs_modulus"),
     ({"material.gumy.restitution": 0.5}, r"material\.gumy\.restitution: nothing is of a material 'gumy'; did you mean 'gummy'\?"),
     ({"material.poisson_ratio": 0.5}, r"material\.poisson_ratio = 0\.5: allowed: a number >= 0 and < 0\.5"),
     ({"material.pull_off": -1.0}, r"material\.pull_off = -1\.0: allowed: a number >= 0"),

@@ -14,7 +14,7 @@ from dem_jax.scene import Motion, Scene
 from dem_jax.walls import kinematics, motion
 from dem_jax.walls.motion import Table
 
-SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
+SETTINGS = {"precision": "f64", "sample_interval": 1e-4, "frame_interval": 0.0}
 PIECE = {"position": (0.0, 0.0, 0.5)}
 
 
@@ -42,9 +42,9 @@ HINGE = {
     "group": "flap",
     "pivot": (0.1, 0.02, 0.01),
     "axis": (0.2, 1.0, 0.3),
-    "start": 0.01,
-    "opening": 0.08,
-    "dwell": 0.02,
+    "opening_start": 0.01,
+    "opening_time": 0.08,
+    "hold_time": 0.02,
 }
 CLOSED = 0.01 + 0.08 + 0.02 + 0.09  # s
 
@@ -54,9 +54,9 @@ def sampled(hinge, swing_deg, rows):
     times = np.concatenate([np.linspace(0.01, 0.09, rows), np.linspace(0.11, CLOSED, rows)])
     angles = swing_deg * np.array(
         [
-            motion.Hinge.from_sections([Motion(**hinge, swing_deg=swing_deg)]).opening_fraction(t)[
-                0
-            ]
+            motion.Hinge.from_sections(
+                [Motion(**hinge, opening_angle_deg=swing_deg)]
+            ).opening_fraction(t)[0]
             for t in times
         ]
     )
@@ -67,7 +67,7 @@ def sampled(hinge, swing_deg, rows):
 def test_a_table_of_a_hinge_converges_to_it():
     """With the third power of the rows' distance, in velocity with the second."""
     times = np.linspace(0.0, CLOSED + 0.01, 1201)
-    expected = panels(walls_of(HINGE | {"swing_deg": 65.0}), times)
+    expected = panels(walls_of(HINGE | {"opening_angle_deg": 65.0}), times)
     assert np.abs(expected.velocity[0]).max() > 0.1  # m/s
     errors = {"place": [], "turn": [], "velocity": []}
     for rows in (17, 33, 65, 129):
@@ -86,7 +86,7 @@ def test_a_table_of_a_hinge_converges_to_it():
 def test_a_table_goes_through_its_rows_and_rests_beside_them():
     times, angles = (0.02, 0.05, 0.06, 0.1), (10.0, 40.0, 40.0, 15.0)
     ways = ((0.0, 0.0, 0.01), (0.0, 0.03, 0.0), (0.02, 0.0, 0.0), (0.0, 0.0, 0.05))
-    row = {"group": "flap", "times": times, "angles_deg": angles, "ways": ways}
+    row = {"group": "flap", "times": times, "angles_deg": angles, "displacements": ways}
     table = walls_of(row).motions[0]
     at = jax.jit(table.pose_at)
     rate = jax.jit(lambda t: jax.jvp(table.pose_at, (t,), (1.0,))[1])
@@ -110,13 +110,13 @@ def test_a_table_goes_through_its_rows_and_rests_beside_them():
 
 ALL = (  # of one group, in one section and in three
     {
-        "pivot": (0.1, 0.02, 0.01), "axis": (0.2, 1.0, 0.3), "swing_deg": 65.0, "opening": 0.08, "start": 0.01, "dwell": 0.02,
+        "pivot": (0.1, 0.02, 0.01), "axis": (0.2, 1.0, 0.3), "opening_angle_deg": 65.0, "opening_time": 0.08, "opening_start": 0.01, "hold_time": 0.02,
     },
     {
         "pivot": (-0.3, 0.1, 0.2), "axis": (1.0, 0.5, 0.0), "times": (0.0, 0.06, 0.13, 0.2), "angles_deg": (0.0, 25.0, 10.0, 30.0),
-        "ways": ((0.0, 0.0, 0.0), (0.02, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.03)),
+        "displacements": ((0.0, 0.0, 0.0), (0.02, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.03)),
     },
-    {"stroke": (1e-3, 0.0, 5e-4), "frequency": 30.0, "shake_start": 0.01, "shake_end": 0.3},
+    {"stroke": (1e-3, 0.0, 5e-4), "frequency": 30.0, "vibration_start": 0.01, "vibration_end": 0.3},
 )  # fmt: skip
 
 
@@ -193,10 +193,14 @@ def test_motions_of_one_section_are_those_of_several():
 
 def test_a_group_moves_if_a_motion_has_it():
     idle, hinge = (
-        {"group": "idle", "swing_deg": 0.0, "start": 1.0},
-        {"group": "flap", "swing_deg": 10.0},
+        {"group": "idle", "opening_angle_deg": 0.0, "opening_start": 1.0},
+        {"group": "flap", "opening_angle_deg": 10.0},
     )
-    row = {"group": "tabled", "times": (0.0, 1.0), "ways": ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))}
+    row = {
+        "group": "tabled",
+        "times": (0.0, 1.0),
+        "displacements": ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    }
     walls = walls_of(idle, hinge, row, groups=("fixed", "idle", "flap", "tabled"))
     assert motion.find_moving_groups(walls).tolist() == [False, False, True, True]
     assert (
@@ -235,7 +239,7 @@ def test_a_file_says_what_its_rows_in_the_scene_say(tmp_path):
     read = motion.load_table_rows(Motion(group="flap", table="flap.csv"), tmp_path)
     ways = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.001), (0.0, 0.0, 0.003))
     assert read == Motion(
-        group="flap", times=(0.0, 0.01, 0.02), angles_deg=(0.0, 20.0, 5.0), ways=ways
+        group="flap", times=(0.0, 0.01, 0.02), angles_deg=(0.0, 20.0, 5.0), displacements=ways
     )
     (tmp_path / "only.csv").write_text("angle_deg,time\n3,0\n4,1\n")
     only = motion.load_table_rows(Motion(group="flap", table="only.csv"), tmp_path)
@@ -287,10 +291,10 @@ INLINE = [
     ),
     (
         {"times": (0.0, 1.0)},
-        r"motion\.times: without angles_deg or ways; allowed: times with angles_deg, ways or both",
+        r"motion\.times: without angles_deg or displacements; allowed: times with angles_deg, ways or both",
     ),
     ({"angles_deg": (0.0, 1.0)}, r"motion\.angles_deg: without times; allowed"),
-    ({"ways": ((0.0, 0.0, 0.0),)}, r"motion\.displacements: without times; allowed"),
+    ({"displacements": ((0.0, 0.0, 0.0),)}, r"motion\.displacements: without times; allowed"),
     (
         ROWS | {"angles_deg": (0.0,)},
         r"motion\.times \(group 'flap'\): 2 times, 1 angles_deg; allowed: as many of each",
@@ -320,7 +324,7 @@ def test_rows_that_are_not_numbers():
 
 @pytest.mark.parametrize(
     "kind",
-    [{"swing_deg": 1.0}, ROWS, {"stroke": (0.0, 0.0, 1e-3)}],
+    [{"opening_angle_deg": 1.0}, ROWS, {"stroke": (0.0, 0.0, 1e-3)}],
     ids=["hinge", "table", "vibration"],
 )
 def test_two_motions_of_one_kind_are_refused(kind, request):
@@ -344,7 +348,7 @@ def riding(folder):
     )
     (folder / "way.csv").write_text("time,x,z\n" + rows)
     piece = {"position": [0.0, 0.0, 0.008 - 1e-6]}
-    settings = SETTINGS | {"duration": 0.21, "frames": 1e-3}
+    settings = SETTINGS | {"duration": 0.21, "frame_interval": 1e-3}
     walls = [plate("plate")]
     motions = [{"group": "plate", "table": "way.csv"}]
     return Scene(

@@ -17,7 +17,7 @@ from dem_jax.broad_phase import candidate_search, neighbour_list, overflow_recov
 from dem_jax.dynamics import stepping
 from dem_jax.scene import Scene
 
-SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
+SETTINGS = {"precision": "f64", "sample_interval": 1e-4, "frame_interval": 0.0}
 FLOOR = {
     "group": "floor",
     "corners": [(-0.4, -0.4, 0.0), (0.4, -0.4, 0.0), (0.4, 0.4, 0.0), (-0.4, 0.4, 0.0)],
@@ -308,7 +308,7 @@ def incline(rebuild_steps):
     piece = {"position": (0.0, 0.0, 0.008 - 2e-6)}
     slope = np.radians(10)
     gravity = (9.81 * np.sin(slope), 0.0, -9.81 * np.cos(slope))
-    settings = {**SETTINGS, "gravity": gravity, "rebuild_steps": rebuild_steps}
+    settings = {**SETTINGS, "gravity": gravity, "max_rebuild_interval": rebuild_steps}
     made = assembly.assemble_system(Scene(piece=[piece], wall=[FLOOR], run=settings), 0)
     state, recorded, _ = stepping.run_compiled_chunk(
         made.system, made.state, np.int32(1000), np.int32(1), samples=1024, frames=0

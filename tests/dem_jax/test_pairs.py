@@ -23,7 +23,7 @@ FLOOR = {
     "group": "floor",
     "corners": [(-0.2, -0.2, 0.0), (0.2, -0.2, 0.0), (0.2, 0.2, 0.0), (-0.2, 0.2, 0.0)],
 }
-SETTINGS = {"precision": "f64", "duration": 4e-3, "sample": 1e-4, "frames": 0.0}
+SETTINGS = {"precision": "f64", "duration": 4e-3, "sample_interval": 1e-4, "frame_interval": 0.0}
 
 
 def heap(neighbours):

@@ -37,10 +37,10 @@ def balls(sample, steps=8, **run):
     ]
     settings = {
         "precision": "f64",
-        "sample": sample,
-        "step": sample / steps,
+        "sample_interval": sample,
+        "time_step": sample / steps,
         "duration": 32 * 1.6e-4,
-        "frames": 0.0,
+        "frame_interval": 0.0,
     }
     walls = [{"group": name, "corners": corners} for name, corners in PANELS.items()]
     return Scene(piece=rows, wall=walls, run=settings | run)
@@ -126,8 +126,13 @@ def test_it_is_that_of_the_closed_form_wherever_in_a_step_the_top_falls(restitut
         {"group": f"plate{k}", "corners": [(0.1 * k + x, y, 0.0) for x, y in square]}
         for k in range(count)
     ]
-    material = {"restitution": restitution, "separation": 0.0}
-    settings = {"precision": precision, "duration": 3e-3, "frames": 0.0, "gravity": (0.0, 0.0, 0.0)}
+    material = {"restitution": restitution, "separation_slope_ratio": 0.0}
+    settings = {
+        "precision": precision,
+        "duration": 3e-3,
+        "frame_interval": 0.0,
+        "gravity": (0.0, 0.0, 0.0),
+    }
     made = Scene(piece=rows, wall=plates, material=material, run=settings)
     system = assembly.assemble_system(made).system
     exact = validation.NormalImpact(

@@ -262,7 +262,12 @@ def closed_box(**run):
                 "angular_velocity": tuple(random.uniform(-30, 30, 3).tolist()),
             }
         )
-    run = {"precision": "f64", "gravity": (0.0, 0.0, 0.0), "sample": 2e-4, "frames": 0.01} | run
+    run = {
+        "precision": "f64",
+        "gravity": (0.0, 0.0, 0.0),
+        "sample_interval": 2e-4,
+        "frame_interval": 0.01,
+    } | run
     return Scene(name="closed", piece=pieces, wall=walls, material={"restitution": 0.5}, run=run)
 
 
@@ -324,11 +329,11 @@ def test_no_pair_moves_faster_than_what_a_look_waits_for():
         "group": "flap",
         "pivot": (-0.05, 0.0, 0.0),
         "axis": (0.0, 1.0, 0.0),
-        "swing_deg": 60.0,
-        "start": 0.0,
-        "opening": 0.02,
+        "opening_angle_deg": 60.0,
+        "opening_start": 0.0,
+        "opening_time": 0.02,
     }
-    wall, run = {"group": "flap", "corners": corners}, {"precision": "f64", "frames": 0.0}
+    wall, run = {"group": "flap", "corners": corners}, {"precision": "f64", "frame_interval": 0.0}
     made = assembly.assemble_system(Scene(piece=pieces, wall=[wall], motion=[flap], run=run), 0)
     roomy = (("hulls", *[candidate_search.pair_count("hulls", 16, 0, 1)] * 2),)
     system, state = overflow_recovery.with_capacity(
@@ -439,7 +444,7 @@ def test_a_piece_bounces_off_a_sheet_as_off_a_slab(piece):
             "velocity": (0.0, 0.0, -2.2),
         }
         wall = {"group": "sheet", "corners": floor, "thickness": thickness}
-        run = {"precision": "f64", "duration": 0.03, "frames": 0.01}
+        run = {"precision": "f64", "duration": 0.03, "frame_interval": 0.01}
         out.append(
             simulate(
                 Scene(
@@ -524,8 +529,8 @@ def test_long_hulls_that_land_on_an_edge_bounce():
     settings = {
         "gravity": (0.0, 0.0, 0.0),
         "precision": "f64",
-        "frames": 0.0,
-        "sample": 1e-4,
+        "frame_interval": 0.0,
+        "sample_interval": 1e-4,
         "duration": 0.02,
     }
     row = {

@@ -14,9 +14,19 @@ from dem_jax import assembly, simulate, validation
 TURNS = Rotation.concatenate(
     [Rotation.random(6, random_state=3), Rotation.random(120, random_state=11)[[13, 15, 28]]]
 )
-RUN = {"duration": 8e-4, "sample": 8e-6, "frames": 8e-4, "energy": False}  # s: two or three corners
+RUN = {
+    "duration": 8e-4,
+    "sample_interval": 8e-6,
+    "frame_interval": 8e-4,
+    "track_energy": False,
+}  # s: two or three corners
 # hit, one after the other
-STIFF = {"softening": 1.0, "restitution": 0.5, "separation": 0.0, "friction_wall": 0.3}
+STIFF = {
+    "numerical_softening": 1.0,
+    "restitution": 0.5,
+    "separation_slope_ratio": 0.0,
+    "friction_wall": 0.3,
+}
 SIZE = 0.0167  # m
 
 

@@ -56,9 +56,9 @@ def scene(precision="f64", samples=SHORT, **run):
     ]
     settings = {
         "precision": precision,
-        "sample": SAMPLE,
+        "sample_interval": SAMPLE,
         "duration": samples * SAMPLE,
-        "frames": EVERY * SAMPLE,
+        "frame_interval": EVERY * SAMPLE,
     }
     return Scene(
         piece=pieces,
@@ -216,7 +216,7 @@ def test_what_the_scene_does_not_have_is_left_out():
         stored.name: stored.labels
         for stored in series.declare_quantities(assembly.assemble_system(made).system)
     }
-    known, still = labels(scene()), labels(scene(energy=False).replace(motion=[], region=[]))
+    known, still = labels(scene()), labels(scene(track_energy=False).replace(motion=[], region=[]))
     assert known["energy"] == (
         "kinetic",
         "potential",

@@ -5,7 +5,7 @@ import pytest
 from dem_jax import assembly, validation
 from dem_jax.assembly import precision_check
 
-SLOW, STIFF = "impacts of up to", {"softening": 1.0}
+SLOW, STIFF = "impacts of up to", {"numerical_softening": 1.0}
 
 
 def said(velocity=1.0, place=0.02, precision="f32", gravity=(0.0, 0.0, 0.0), **material):

@@ -32,7 +32,12 @@ def ball(**run):
         "position": (0.0, 0.0, HEIGHT),
         "velocity": (0.0, 0.0, -SPEED),
     }
-    run = {"step": DT, "sample": 2 * DT, "duration": 300 * DT, "rebuild_steps": 32} | run
+    run = {
+        "time_step": DT,
+        "sample_interval": 2 * DT,
+        "duration": 300 * DT,
+        "max_rebuild_interval": 32,
+    } | run
     return plate_scene(
         piece,
         (0.0, 0.0, -9.81),
@@ -200,12 +205,12 @@ TABLE = {
     "group": "plate",
     "times": [0.0, 0.01, 0.02, 0.04],
     "angles_deg": [0.0, 3.0, 5.0, 4.0],
-    "ways": WAYS,
+    "displacements": WAYS,
 }
 SHAKE = {
     "group": "other",
     "stroke": (0.0, 0.0, 1e-3),
-    "swing_deg": 30.0,
+    "opening_angle_deg": 30.0,
     "drive": {"inertia": 2e-3},
 }
 

@@ -15,7 +15,7 @@ FLOOR = {
     "group": "floor",
     "corners": [(-0.4, -0.4, 0.0), (0.4, -0.4, 0.0), (0.4, 0.4, 0.0), (-0.4, 0.4, 0.0)],
 }
-SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
+SETTINGS = {"precision": "f64", "sample_interval": 1e-4, "frame_interval": 0.0}
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def scenes(draw):
         restitution=share,
         friction_wall=positive,
         pull_off=positive,
-        stiffness_size=st.text(),
+        stiffness_length=st.text(),
     )
     named = some(
         density=positive, youngs_modulus=positive, restitution=share, friction_piece=positive
@@ -82,7 +82,7 @@ def scenes(draw):
         some(
             accuracy=st.fixed_dictionaries({"peak_force": st.floats(1e-9, 0.2)}),
             gravity=vector,
-            frames=positive,
+            frame_interval=positive,
         )
     )
     return Scene.model_validate(tree)

@@ -27,7 +27,7 @@ FOUR = [
 def run(panels, piece, samples, precision="f64"):
     """Samples, and the last state, of a piece, or several, on a plate made of panels."""
     walls = [{"group": "plate", "corners": corners, "thickness": 0.02} for corners in panels]
-    settings = {"precision": precision, "sample": 1e-4, "frames": 0.0}
+    settings = {"precision": precision, "sample_interval": 1e-4, "frame_interval": 0.0}
     made = assembly.assemble_system(
         Scene(piece=piece if isinstance(piece, list) else [piece], wall=walls, run=settings), 0
     )

@@ -61,7 +61,9 @@ BALLS = tuple(
 def scene(pieces=THROWN, panels=(), **sections):
     """Pieces in a box of three walls in groups of their own, and more panels."""
     walls = [*zip(("floor", "side", "behind"), (FLOOR, SIDE, BEHIND), strict=True), *panels]
-    settings = {"precision": "f64", "sample": 3e-5, "frames": 0.0} | sections.pop("run", {})
+    settings = {"precision": "f64", "sample_interval": 3e-5, "frame_interval": 0.0} | sections.pop(
+        "run", {}
+    )
     return Scene(
         piece=pieces, wall=[{"group": g, "corners": c} for g, c in walls], run=settings, **sections
     )

@@ -46,7 +46,13 @@ def rounded(facets, sign, degrees=60.0):
 
 def scene_of(panels, piece, restitution=0.1, friction=0.3, **run):
     walls = [{"group": "plate", "corners": corners, "thickness": 0.01} for corners in panels]
-    settings = {"precision": "f64", "duration": 0.006, "sample": 1e-4, "frames": 1e-3, **run}
+    settings = {
+        "precision": "f64",
+        "duration": 0.006,
+        "sample_interval": 1e-4,
+        "frame_interval": 1e-3,
+        **run,
+    }
     material = {"restitution": restitution, "friction_wall": friction}
     return Scene(piece=[piece], wall=walls, run=settings, material=material)
 
@@ -243,9 +249,9 @@ def landing(panels, pieces, motion=(), precision="f64", gravity=(0.0, 0.0, -9.81
     run = {
         "precision": precision,
         "duration": 0.004,
-        "sample": 1e-4,
-        "frames": 1e-3,
-        "step": 1e-5,
+        "sample_interval": 1e-4,
+        "frame_interval": 1e-3,
+        "time_step": 1e-5,
         "gravity": gravity,
     }
     material = {"restitution": 0.5, "friction_wall": 0.3}
@@ -263,11 +269,15 @@ def test_a_trough_that_moves_exerts_the_forces_of_one_at_rest(precision):
     """
     frame = np.array([0.3, 0.1, 0.5])
     times = (-0.02, -0.01, 0.02, 0.03)  # between the inner two the cubics are straight lines
-    motion = [{"group": "plate", "times": times, "ways": [tuple(frame * t) for t in times]}]
+    motion = [
+        {"group": "plate", "times": times, "displacements": [tuple(frame * t) for t in times]}
+    ]
     moving = [
         {**piece, "velocity": tuple(np.array(piece["velocity"]) + frame)} for piece in LANDING
     ]
-    still = [{"group": "plate", "times": times, "ways": [(0.0, 0.0, 0.0)] * 4}]  # the same program
+    still = [
+        {"group": "plate", "times": times, "displacements": [(0.0, 0.0, 0.0)] * 4}
+    ]  # the same program
     fixed, seen = (
         landing(rounded(11, 1, 100.0), *rows, precision)
         for rows in ((LANDING, still), (moving, motion))
@@ -293,8 +303,8 @@ def test_a_trough_that_accelerates_exerts_the_forces_of_gravity():
     ways = (0.0, way, 2.1 * way, 2.1 * way)  # with these slopes at its ends the first cubic is a
     # parabola
     assert fit_hermite_cubics(times, ways)[:, 0] == pytest.approx([0.0, 0.5, 0.0, 0.0], abs=1e-9)
-    motion = [{"group": "plate", "times": times, "ways": [tuple(rate * w) for w in ways]}]
-    still = [{"group": "plate", "times": times, "ways": [(0.0, 0.0, 0.0)] * 4}]
+    motion = [{"group": "plate", "times": times, "displacements": [tuple(rate * w) for w in ways]}]
+    still = [{"group": "plate", "times": times, "displacements": [(0.0, 0.0, 0.0)] * 4}]
     weight = tuple(np.array([0.0, 0.0, -9.81]) - rate)
     fixed = landing(rounded(11, 1, 100.0), LANDING, still, gravity=weight)
     seen = landing(rounded(11, 1, 100.0), LANDING, motion)
@@ -314,7 +324,7 @@ def test_a_sphere_in_a_trough_on_a_load_cell_is_two_masses_on_springs(impact, fa
     """
     cell = {"mass": 0.05, "stiffness": 2e4, "damping_ratio": 0.0}
     bucket = {"panels": rounded(facets, 1), "opening_angle_deg": 0.0, "load_cell": cell}
-    run = {"precision": "f64", "duration": 0.003, "sample": 1e-5, "frames": 0.0}
+    run = {"precision": "f64", "duration": 0.003, "sample_interval": 1e-5, "frame_interval": 0.0}
     material = {"restitution": 1.0, "friction_wall": 0.0}
     lowest = RADIUS * (1 - np.cos(np.radians(30.0 / facets)))  # of the facet in the middle
     low = {**BALL, "position": (0.0, 0.0, BALL["radius"] + lowest + 1e-9)}
@@ -340,8 +350,8 @@ def test_a_bent_flap_that_turns_exerts_the_forces_of_a_flat_one():
             "group": "plate",
             "pivot": (-0.05, 0.0, 0.0),
             "axis": (0.0, 1.0, 0.0),
-            "swing_deg": 20.0,
-            "start": -0.03,
+            "opening_angle_deg": 20.0,
+            "opening_start": -0.03,
         }
     ]
     pieces = [

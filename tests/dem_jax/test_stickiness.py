@@ -112,7 +112,7 @@ def test_a_mixture_takes_products_by_name():
     named = scene.material.named_materials
     assert (named["hazelnut"].density, named["hazelnut"].restitution) == (920.0, 0.6)
     assert (named["gummy-bear"].youngs_modulus, named["gummy-bear"].pull_off) == (5e5, 0.005)
-    assert scene.material.softening == 1.0  # of the gummy bears, the larger
+    assert scene.material.numerical_softening == 1.0  # of the gummy bears, the larger
     assert parse_scene(scene.to_toml()) == scene
     with pytest.raises(
         SceneError, match=r"portion\.product\.0\.product = 'hazelnit': no such product; .*hazelnut"

@@ -14,7 +14,12 @@ from dem_jax.scene import Bucket, Wall, bucket_geometry, describe_scene, load_sc
 from dem_jax.scene.material_properties import map_group_materials
 from dem_jax.visualization.summary import list_wall_notes
 
-SIZES = {"mouth": (0.15, 0.11), "wall_height": 0.12, "flap_angle_deg": 50.0, "lap": 0.0}
+SIZES = {
+    "opening_size": (0.15, 0.11),
+    "wall_height": 0.12,
+    "flap_angle_deg": 50.0,
+    "panel_overlap": 0.0,
+}
 TURN, WAY = (90.0, 0.0, 30.0), (0.3, -0.2, 0.0)  # by which a file is turned, then moved, to be the
 # bucket
 
@@ -92,7 +97,7 @@ def test_a_bucket_of_stl_files_is_that_of_its_sizes(parts, files):
     for motion, expected in zip(motions, parts.motions, strict=True):
         assert (
             motion.group == expected.group.replace("wb", "fb")
-            and motion.swing_deg == expected.swing_deg
+            and motion.opening_angle_deg == expected.opening_angle_deg
         )
         np.testing.assert_allclose(motion.pivot, np.add(expected.pivot, [0, 0, 0.3]), atol=5e-8)
     assert joint == {

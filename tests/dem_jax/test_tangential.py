@@ -25,8 +25,8 @@ def built(softening, gravity):
     scene = validation.plate_scene(
         {"shape": "sphere", "radius": RADIUS},
         (0.0, 0.0, -gravity),
-        softening=softening,
-        separation=0.0,
+        numerical_softening=softening,
+        separation_slope_ratio=0.0,
     )
     return assembly.assemble_system(scene)
 

@@ -41,7 +41,9 @@ def test_softening_by_a_hundred_makes_steps_ten_times_longer():
     # Both moduli are softened, so that K_nl goes with the softening factor and the step with its
     # root.
     np.testing.assert_allclose(
-        step_of(softening=0.01).critical / step_of(softening=1.0).critical, 10, rtol=1e-12
+        step_of(numerical_softening=0.01).critical / step_of(numerical_softening=1.0).critical,
+        10,
+        rtol=1e-12,
     )
 
 
@@ -49,7 +51,7 @@ def test_softening_by_a_hundred_makes_steps_ten_times_longer():
 def test_critical_step_is_the_smaller_of_loading_and_unloading(epsilon):
     # 15 steps per loading and 10 per unloading quarter period, which is epsilon times as long:
     # equal at 2/3.
-    step = step_of(restitution=epsilon, softening=0.01)
+    step = step_of(restitution=epsilon, numerical_softening=0.01)
     load, unload = exact_quarter(0.01) / 15, epsilon * exact_quarter(0.01) / 10
     np.testing.assert_allclose(step.critical, min(load, unload), rtol=1e-9)
     assert ("unloading" in step.limit) == (unload < load)
@@ -135,7 +137,7 @@ def test_a_step_that_is_not_stable_is_refused_unless_it_is_allowed_by_name():
         match=r"run\.time_step = .*at most .* gains more than 1 % of its energy; with run\.allow",
     ):
         step_of(run={"time_step": 1.01 * stable})
-    allowed = {"sample": 1e-3, "allow_unstable_step": True}
+    allowed = {"sample_interval": 1e-3, "allow_unstable_step": True}
     assert stable < step_of(run={"time_step": 1.1 * stable} | allowed).dt <= 1.1 * stable
     with pytest.raises(
         SceneError, match=r"run\.time_step = .*allowed: at most .* s, the linear stability limit"
@@ -156,8 +158,8 @@ def ball(run=None, walls=(), **changes):
     settings = {
         "gravity": (0.0, 0.0, 0.0),
         "precision": "f64",
-        "frames": 0.0,
-        "sample": 1e-3,
+        "frame_interval": 0.0,
+        "sample_interval": 1e-3,
         "duration": 0.01,
         **(run or {}),
     }
@@ -197,7 +199,12 @@ def test_no_impact_gains_more_than_a_hundredth_of_its_energy_at_a_stable_step(
     below.
     """
     scene = ball(
-        {"rebuild_steps": 4096, "allow_unstable_step": True, "duration": 0.012, "sample": 4e-3}
+        {
+            "max_rebuild_interval": 4096,
+            "allow_unstable_step": True,
+            "duration": 0.012,
+            "sample_interval": 4e-3,
+        }
     )
     scene = scene.replace({"material.friction_wall": friction})
     stable = assembly.assemble_system(scene).step.stable
@@ -230,7 +237,11 @@ def worst_gain(scene, step, phases):
 
 def test_a_step_beyond_the_stable_one_is_warned_of_with_the_error_to_expect():
     limits = assembly.assemble_system(ball()).step
-    settings = {"step": 0.8 * limits.linear_limit, "duration": 1e-3, "allow_unstable_step": True}
+    settings = {
+        "time_step": 0.8 * limits.linear_limit,
+        "duration": 1e-3,
+        "allow_unstable_step": True,
+    }
     run = simulate(ball(settings, position=(0.0, 0.0, 0.1)))
     note, *_ = run.info["notes"]
     assert (
@@ -258,9 +269,9 @@ def test_limit_holds_for_a_body_between_two_walls():
         # that feeds nothing
         dt = part * limit
         run = simulate(
-            ball({"step": dt, "sample": dt, "duration": 400 * limit}, walls, **place).replace(
-                smooth
-            )
+            ball(
+                {"time_step": dt, "sample_interval": dt, "duration": 400 * limit}, walls, **place
+            ).replace(smooth)
         )
         energy = run.energy["kinetic"] + run.energy["elastic"]
         # of an oscillator in velocity Verlet, q of the limit, kinetic and elastic energy together

@@ -28,17 +28,17 @@ def scene(shape, thickness, height, speed, **motion):
     duration = round(0.02 + 0.1 / max(speed, 5.0), 4)
     run = {
         "duration": duration,
-        "frames": 1e-3,
-        "energy": False,
+        "frame_interval": 1e-3,
+        "track_energy": False,
         "domain_low": (-1e3,) * 3,
         "domain_high": (1e3,) * 3,
     }
     swing = {
         "group": "flap",
         "pivot": (0.0, -0.1, 0.0),
-        "start": -0.1,
-        "opening": 0.1,
-        "dwell": 0.0,
+        "opening_start": -0.1,
+        "opening_time": 0.1,
+        "hold_time": 0.0,
     } | motion
     return Scene(piece=[piece], wall=[sheet], motion=[swing], run=run)
 
@@ -49,7 +49,7 @@ def test_no_piece_passes_a_sheet_at_any_speed(shape, thickness):
     stopped = 0
     for speed in SPEEDS:
         try:
-            run = dem_jax.simulate(scene(shape, thickness, 0.05, speed, swing_deg=1e-3))
+            run = dem_jax.simulate(scene(shape, thickness, 0.05, speed, opening_angle_deg=1e-3))
         except SimulationError as error:
             assert speed > 10, error
             assert pytest.RaisesExc(SimulationError, match=STOPS).matches(error)
@@ -63,7 +63,9 @@ def test_no_piece_passes_a_sheet_at_any_speed(shape, thickness):
 def test_no_piece_passes_a_flap_that_swings_up_to_it(closing):
     """It is shut where the middle of the ball was."""
     try:
-        run = dem_jax.simulate(scene("ball", 1e-4, 0.0, 0.0, swing_deg=-40.0, closing=closing))
+        run = dem_jax.simulate(
+            scene("ball", 1e-4, 0.0, 0.0, opening_angle_deg=-40.0, closing_time=closing)
+        )
     except SimulationError as error:
         assert closing < 0.02, error
         assert pytest.RaisesExc(SimulationError, match=STOPS).matches(error)
@@ -81,4 +83,4 @@ def test_no_piece_passes_a_flap_that_swings_up_to_it(closing):
 def test_a_piece_that_leaps_further_than_it_is_wide_stops_the_run():
     line = r"piece 0 at t = 3e-05 s: at 4e\+03 m/s it moves by .* m in a time step, and may pass what is in its way"
     with pytest.raises(SimulationError, match=line):
-        dem_jax.simulate(scene("ball", 1e-4, 5.0, 4000.0, swing_deg=1e-3))
+        dem_jax.simulate(scene("ball", 1e-4, 5.0, 4000.0, opening_angle_deg=1e-3))

@@ -97,13 +97,18 @@ def test_it_ends_after_the_last_motion():
     flap = {"group": "flap", "corners": corners}
     swing = {
         "group": "flap",
-        "swing_deg": 30.0,
-        "start": 0.035,
-        "opening": 0.002,
-        "dwell": 0.0,
-        "closing": 0.002,
+        "opening_angle_deg": 30.0,
+        "opening_start": 0.035,
+        "opening_time": 0.002,
+        "hold_time": 0.0,
+        "closing_time": 0.002,
     }
-    shake = {"group": "flap", "stroke": [0.0, 0.0, 1e-3], "shake_start": 0.0, "shake_end": 0.0391}
+    shake = {
+        "group": "flap",
+        "stroke": [0.0, 0.0, 1e-3],
+        "vibration_start": 0.0,
+        "vibration_end": 0.0391,
+    }
     base = ball().model_dump()["wall"]
     for motion, still in ((swing, 0.039), (shake, 0.0391)):
         found = dem_jax.simulate(ball(wall=[*base, flap], motion=[motion]))
@@ -111,7 +116,7 @@ def test_it_ends_after_the_last_motion():
 
 
 NEVER = [
-    ({"swing_deg": 10.0, "period": 0.5}, r"motion\.0\.period = 0\.5; allowed: 0"),
+    ({"opening_angle_deg": 10.0, "period": 0.5}, r"motion\.0\.period = 0\.5; allowed: 0"),
     (
         {"stroke": [0, 0, 1e-4]},
         r"motion\.0\.vibration_end = 1000; allowed: below run\.duration = 0\.06",

@@ -86,7 +86,7 @@ def test_the_command_passes_values_seeds_and_the_rate_on(monkeypatch, tmp_path, 
     )
     assert (
         main([*command, "--set", "run.frame_interval=0.01"]) == 0
-        and asked["scene"].run.frames == 0.01
+        and asked["scene"].run.frame_interval == 0.01
     )
     for wrong, words in (
         (["--record-rate", "0"], "--record-rate 0"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from dem_jax.deprecation import warn_of_name
-from dem_jax.scene.former_keys import find_attribute
+from dem_jax.scene.former_keys import accept_section, find_attribute
 from dem_jax.scene.toml_text import format_value
 
 
@@ -74,6 +74,11 @@ class Section(BaseModel):
                 return super().__getattr__(name)
             warn_of_name(f"{type(self).__name__}.{name}", renamed)
             return getattr(self, renamed)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _accept_former_keys(cls, given: Any) -> Any:
+        return accept_section(given, cls.__name__)
 
     @model_validator(mode="after")
     def _is_of_this_world(self) -> Self:

@@ -156,7 +156,7 @@ def load_table_rows(section: Motion, folder: str | Path) -> Motion:
         return _read_table_file(section, Path(folder) / section.table)
     if section.times is None or len(given) == 1:
         raise SceneError(
-            f"motion.{given[0]}: without {'angles_deg or ways' if section.times else 'times'}; {_ALLOWED_COLUMNS}"
+            f"motion.{given[0]}: without {'angles_deg or displacements' if section.times else 'times'}; {_ALLOWED_COLUMNS}"
         )
     rows = {key: len(getattr(section, key)) for key in given}
     if len(set(rows.values())) > 1:
@@ -168,7 +168,7 @@ def load_table_rows(section: Motion, folder: str | Path) -> Motion:
     return section
 
 
-_ALLOWED_COLUMNS = "allowed: times with angles_deg, ways or both"
+_ALLOWED_COLUMNS = "allowed: times with angles_deg, displacements or both"
 
 
 def _check_times(times: Sequence[float], key: str, name: Callable[[int], str]) -> None:
