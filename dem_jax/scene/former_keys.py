@@ -117,9 +117,9 @@ def accept_section(given: Any, section: str) -> Any:
     names = FORMER_KEYS.get(SECTION_CLASSES.get(section, "-"), {})
     if not isinstance(given, dict) or names.keys().isdisjoint(given):
         return given
-    out = {}
+    out: Tree = {}
     for key, item in given.items():
-        renamed = names.get(key, key)
+        renamed = str(names.get(key, key))
         if renamed != key:
             if renamed in given:
                 raise ValueError(f"{renamed}: is given as {key} as well; allowed: one of the two")

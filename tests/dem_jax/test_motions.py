@@ -110,7 +110,8 @@ def test_a_table_goes_through_its_rows_and_rests_beside_them():
 
 ALL = (  # of one group, in one section and in three
     {
-        "pivot": (0.1, 0.02, 0.01), "axis": (0.2, 1.0, 0.3), "opening_angle_deg": 65.0, "opening_time": 0.08, "opening_start": 0.01, "hold_time": 0.02,
+        "pivot": (0.1, 0.02, 0.01), "axis": (0.2, 1.0, 0.3), "opening_angle_deg": 65.0, "opening_time": 0.08, "opening_start": 0.01,
+        "hold_time": 0.02,
     },
     {
         "pivot": (-0.3, 0.1, 0.2), "axis": (1.0, 0.5, 0.0), "times": (0.0, 0.06, 0.13, 0.2), "angles_deg": (0.0, 25.0, 10.0, 30.0),
