@@ -151,8 +151,10 @@ def outcome(case: Case) -> tuple[str, str]:
         scene = load_scene(base, changes).replace({case.key: case.value})
         job = prepare_job(scene, (0,), None)
         if _steps(job) > STEPS:
-            less = {"run.duration": 100 * scene.run.sample}
-            less |= {"portion.settling_time": 100 * scene.run.sample} if scene.portion else {}
+            less = {"run.duration": 100 * scene.run.sample_interval}
+            less |= (
+                {"portion.settling_time": 100 * scene.run.sample_interval} if scene.portion else {}
+            )
             job = prepare_job(scene.replace(less), (0,), None)
         pieces = job.system.pieces.mass.shape[0]
         if _steps(job) * pieces > LONG:

@@ -106,11 +106,11 @@ def momentum_error(run: Run, scene: Scene) -> float:
     """
     if run.run_count is not None:
         return max(momentum_error(run.member(k), scene) for k in range(run.run_count))
-    force = sum(np.asarray(f, float) for f in run.mean_force.values()) * scene.run.sample
+    force = sum(np.asarray(f, float) for f in run.mean_force.values()) * scene.run.sample_interval
     momentum = np.asarray(run.momentum, float)
     change, gravity = (
         np.diff(momentum, axis=0),
-        np.asarray(scene.run.gravity, float) * scene.run.sample,
+        np.asarray(scene.run.gravity, float) * scene.run.sample_interval,
     )
     mass = 0.0
     if gravity.any():  # of all pieces: from samples without any force

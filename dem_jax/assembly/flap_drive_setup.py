@@ -28,7 +28,7 @@ def build_flap_drives(motions: Sequence[Motion], groups: Sequence[str]) -> FlapD
         key = f"motion.drive (group {row.group!r})"
         if row.drive is not None and not Hinge.is_requested(row):
             raise SceneError(
-                f"{key}: with swing_deg = 0; allowed: only for a flap that swings about a hinge"
+                f"{key}: with opening_angle_deg = 0; allowed: only for a flap that swings about a hinge"
             )
         if Table.is_requested(row) and row.angles_deg is not None:
             raise SceneError(

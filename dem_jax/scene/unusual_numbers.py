@@ -8,7 +8,12 @@ from pydantic import BaseModel
 
 from dem_jax.scene.sections.material import Material
 
-USUAL_VALUES = {"step": 1e-6, "unit": 1.0, "start": 0.1, "opening_start": 0.1}  # where a key has no
+USUAL_VALUES = {
+    "time_step": 1e-6,
+    "unit": 1.0,
+    "start": 0.1,
+    "opening_start": 0.1,
+}  # where a key has no
 # default, or 0
 USUAL_LENGTH = 1e-2  # m, if nothing else has a length
 

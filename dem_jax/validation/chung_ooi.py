@@ -241,9 +241,9 @@ def _impact_scene(law: str, i: SphereImpact, duration: float, touch: float) -> S
     run = {
         "gravity": (0.0, 0.0, 0.0),
         "duration": duration,
-        "sample": duration / 200,
-        "frames": duration,
-        "energy": False,
+        "sample_interval": duration / 200,
+        "frame_interval": duration,
+        "track_energy": False,
     }
     contact = {"law": law} | ({"max_impact_speed": i.speed} if law == "hertz-mindlin" else {})
     gap = i.speed * touch

@@ -92,7 +92,7 @@ def corner_problem() -> Problem:
         "orientation": TILT,
         "velocity": (0.1, 0.0, -1.0),
     }
-    run = {"duration": 4e-4, "sample": 4e-6, "frames": 4e-4, "energy": False}
+    run = {"duration": 4e-4, "sample_interval": 4e-6, "frame_interval": 4e-4, "track_energy": False}
     material: dict[str, Any] = {
         "numerical_softening": 1.0,
         "restitution": 0.5,
@@ -145,10 +145,10 @@ def spinning_problem() -> Problem:
     step = case.period / frames / 40
     run = {
         "duration": 40 * frames * step,
-        "frames": 40 * step,
-        "sample": 40 * step,
-        "step": step / 4,
-        "energy": False,
+        "frame_interval": 40 * step,
+        "sample_interval": 40 * step,
+        "time_step": step / 4,
+        "track_energy": False,
     }
     scene = plate_scene(
         piece, run=run, numerical_softening=1e-5

@@ -46,9 +46,9 @@ def _impact_scene(
     }
     run = {
         "duration": duration,
-        "sample": duration / 400,
-        "frames": duration / 400,
-        "energy": False,
+        "sample_interval": duration / 400,
+        "frame_interval": duration / 400,
+        "track_energy": False,
     }
     return plate_scene(
         piece, run=run, numerical_softening=1.0, friction_wall=0.0, friction_piece=0.0, **material

@@ -67,11 +67,11 @@ def cradle_problem() -> Problem:
         parameters=keys,
         measure=_read_speeds,
         exact=lambda: {
-            "speeds": np.array(
+            "speed_bins": np.array(
                 [_exact_speeds(*row, duration) for row in zip(gaps, x, speeds, FIRST, strict=True)]
             )
         },
-        bounds={"speeds": 0.01},
+        bounds={"speed_bins": 0.01},
     )
 
 
@@ -116,4 +116,4 @@ def _exact_speeds(
 
 def _read_speeds(run: Run) -> ComparedValues:
     assert run.pieces is not None
-    return {"speeds": np.asarray(run.pieces.velocity[:, -1, :, 0], float)}
+    return {"speed_bins": np.asarray(run.pieces.velocity[:, -1, :, 0], float)}

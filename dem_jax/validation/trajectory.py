@@ -26,7 +26,7 @@ def plate_scene(
     **material: float | str,
 ) -> Scene:
     """``plate-drop`` with another piece (keys of ``[[piece]]``) and material. Raises SceneError."""
-    settings = {"gravity": gravity, "precision": precision, "frames": 0.0} | (run or {})
+    settings = {"gravity": gravity, "precision": precision, "frame_interval": 0.0} | (run or {})
     piece = {"position": (0.0, 0.0, 0.1)} | piece
     return load_scene("plate-drop").replace(piece=[piece], material=material, run=settings)
 

@@ -174,7 +174,7 @@ def test_a_scene_says_it_in_a_table_of_its_own_and_reads_it_back(tmp_path):
         ({"run.accuracy": 0.01}, r"run\.accuracy = 0\.01: allowed: a table"),
         (
             {"run.accuracy.restitution": 0.1, "run.time_step": 4e-6},
-            r"run: step = 4e-06: beside accuracy.*allowed: \"auto\"",
+            r"run: time_step = 4e-06: beside accuracy.*allowed: \"auto\"",
         ),
         (
             {"run.accuracy.restitution": 1e-3},

@@ -65,7 +65,9 @@ def alone(lag, rate, time, steps, **changes):
     system, state = made().system, made().state
     hinge = system.walls.motions[0]
     hinge = hinge.replace(
-        dwell=jnp.full_like(hinge.dwell, 10.0), start=hinge.start - 1.0, swing=hinge.swing * 100
+        hold_time=jnp.full_like(hinge.hold_time, 10.0),
+        opening_start=hinge.opening_start - 1.0,
+        swing=hinge.swing * 100,
     )
     walls = system.walls.replace(motions=(hinge,), drive=system.walls.drive.replace(**changes))
     system = system.replace(walls=walls, dt=jnp.asarray(time / steps))
@@ -183,7 +185,9 @@ def test_what_nothing_holds_up_follows_its_motion():
     hinge = system.walls.motions[0]
     angle = float(hinge.pose_at(system.dt * 3000)[0][1]) + 0.1
     open_so_far = hinge.replace(
-        swing=jnp.array([0.0, angle]), start=hinge.start - 1, dwell=hinge.dwell + 10
+        swing=jnp.array([0.0, angle]),
+        opening_start=hinge.opening_start - 1,
+        hold_time=hinge.hold_time + 10,
     )
     held = system.walls.replace(motions=(open_so_far,))
     there = kinematics.wall_state_at_rebuild(system.replace(walls=held), jnp.asarray(3000))
@@ -294,7 +298,7 @@ def test_the_step_is_stable_with_a_flap_that_weighs_next_to_nothing():
     [
         ({"drive": {"torque": 0.0}}, "torque"),
         ({"drive": {"power": 1.0}}, "power"),
-        ({"opening_angle_deg": 0.0}, "swing_deg = 0"),
+        ({"opening_angle_deg": 0.0}, "opening_angle_deg = 0"),
         ({"times": (0.0, 1.0), "angles_deg": (0.0, 5.0)}, "table of angles"),
     ],
 )

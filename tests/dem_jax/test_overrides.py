@@ -84,7 +84,7 @@ REFUSED = [
     (
         "plate-drop",
         {"motion": [{"group": "plate", "opening_time": 0.1}]},
-        "motion.0: opening = 0.1: cannot act without swing_deg",
+        "motion.0: opening_time = 0.1: cannot act without opening_angle_deg",
     ),
     (
         "plate-drop",

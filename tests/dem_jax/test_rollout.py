@@ -233,7 +233,9 @@ def changed(topology, parameters):
     """Values of all parameters, a tenth less than the scene's own; of speeds with something added."""
     values = {}
     for key, form in topology.shapes.items():
-        if not key.endswith(("duration", "shake_end")) and key not in POSES:  # what ends before it
+        if (
+            not key.endswith(("duration", "vibration_end")) and key not in POSES
+        ):  # what ends before it
             # begins is no motion
             values[key] = parameters.get(key, np.full(form, 0.5)) * 0.9 + 0.01 * key.endswith(
                 "velocity"
@@ -330,12 +332,12 @@ def test_every_number_has_the_limits_of_the_scene(name):
     made = assembly.assemble_system(scene)
     free = {
         "height",
-        "swing_deg",
+        "opening_angle_deg",
         "opening_angle_deg",
         "start",
         "opening_start",
-        "shake_start",
-        "shake_end",
+        "vibration_start",
+        "vibration_end",
     }
     refused = 0
     for key, form in split_scene(scene, made)[0].shapes.items():

@@ -21,10 +21,10 @@ class Hinge:
 
     axis: Array  # [3, G]: unit direction
     swing: Array  # [G] (rad): angle of the open flap
-    start: Array  # [G] (s)
-    opening: Array  # [G] (s): duration
-    dwell: Array  # [G] (s): open
-    closing: Array  # [G] (s)
+    opening_start: Array  # [G] (s)
+    opening_time: Array  # [G] (s): duration
+    hold_time: Array  # [G] (s): open
+    closing_time: Array  # [G] (s)
     period: Array  # [G] (s); 0: once
     pivot: ClassVar[None] = None
 
@@ -38,7 +38,7 @@ class Hinge:
         """Hinges from one section per group, in numpy. Raises SceneError."""
         times = {
             key: as_array(stack_section_values(sections, key))
-            for key in ("start", "opening", "dwell", "closing", "period")
+            for key in ("opening_start", "opening_time", "hold_time", "closing_time", "period")
         }
         return cls(
             as_array(stack_unit_axes(sections)),
@@ -52,11 +52,11 @@ class Hinge:
 
     def opening_fraction(self, t: jax.Array) -> jax.Array:
         """Opening of the flaps at a time (s), 0 to 1, [G]."""
-        since = t - self.start
+        since = t - self.opening_start
         cyclic = (self.period > 0) & (since > 0)
         since = jnp.where(cyclic, jnp.mod(since, jnp.where(self.period > 0, self.period, 1)), since)
-        return smooth_step(since / self.opening) - smooth_step(
-            (since - self.opening - self.dwell) / self.closing
+        return smooth_step(since / self.opening_time) - smooth_step(
+            (since - self.opening_time - self.hold_time) / self.closing_time
         )
 
     def pose_at(self, t: jax.Array) -> tuple[jax.Array, None]:
@@ -67,11 +67,17 @@ class Hinge:
         """Times (s) at which the flaps begin to open and are shut again, inf if they open
         repeatedly, [G] each.
         """
-        start, opening, dwell, closing, period = (
+        start, opening, hold, closing, period = (
             np.asarray(x, float)
-            for x in (self.start, self.opening, self.dwell, self.closing, self.period)
+            for x in (
+                self.opening_start,
+                self.opening_time,
+                self.hold_time,
+                self.closing_time,
+                self.period,
+            )
         )
-        return start, np.where(period > 0, np.inf, start + opening + dwell + closing)
+        return start, np.where(period > 0, np.inf, start + opening + hold + closing)
 
     @staticmethod
     def find_endless_key(section: Motion, duration: float) -> str | None:

@@ -21,10 +21,10 @@ class Vibration:
 
     stroke: Array  # [3, G] (m): amplitude
     frequency: Array  # [G] (Hz)
-    shake_start: Array  # [G] (s)
-    shake_end: Array  # [G] (s)
-    shake_ramp: Array  # [G] (s): to full amplitude and back
-    shake_period: Array  # [G] (s) from one beginning to the next; 0: once
+    vibration_start: Array  # [G] (s)
+    vibration_end: Array  # [G] (s)
+    vibration_ramp: Array  # [G] (s): to full amplitude and back
+    vibration_period: Array  # [G] (s) from one beginning to the next; 0: once
     axis: ClassVar[None] = None
     pivot: ClassVar[None] = None
 
@@ -52,18 +52,18 @@ class Vibration:
 
     def relative_displacement(self, t: jax.Array) -> jax.Array:
         """Displacement at a time (s) in units of the amplitude, [G]."""
-        ramp, since = self.shake_ramp, t - self.shake_start
-        cyclic = (self.shake_period > 0) & (since > 0)
+        ramp, since = self.vibration_ramp, t - self.vibration_start
+        cyclic = (self.vibration_period > 0) & (since > 0)
         t = jnp.where(
             cyclic,
-            self.shake_start
-            + jnp.mod(since, jnp.where(self.shake_period > 0, self.shake_period, 1)),
+            self.vibration_start
+            + jnp.mod(since, jnp.where(self.vibration_period > 0, self.vibration_period, 1)),
             t,
         )
-        envelope = smooth_step((t - self.shake_start) / ramp) * smooth_step(
-            (self.shake_end - t) / ramp
+        envelope = smooth_step((t - self.vibration_start) / ramp) * smooth_step(
+            (self.vibration_end - t) / ramp
         )
-        return envelope * jnp.sin(2 * jnp.pi * self.frequency * (t - self.shake_start))
+        return envelope * jnp.sin(2 * jnp.pi * self.frequency * (t - self.vibration_start))
 
     def pose_at(self, t: jax.Array) -> tuple[None, Vector]:
         """No angle, and the displacement (m), 3 x [G]."""
@@ -71,9 +71,9 @@ class Vibration:
 
     def active_interval(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (s) at which vibrations begin and end, inf if they repeat, [G] each."""
-        again = np.asarray(self.shake_period, float) > 0
-        return np.asarray(self.shake_start, float), np.where(
-            again, np.inf, np.asarray(self.shake_end, float)
+        again = np.asarray(self.vibration_period, float) > 0
+        return np.asarray(self.vibration_start, float), np.where(
+            again, np.inf, np.asarray(self.vibration_end, float)
         )
 
     @staticmethod
