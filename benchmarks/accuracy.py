@@ -141,7 +141,7 @@ def stable_step(shape, restitution):
 
     kind = SPHERE if shape == "sphere" else PIECE
     return assembly.assemble_system(
-        plate(kind, starts(kind, 1)[0], 1, "f64", restitution, step="auto")
+        plate(kind, starts(kind, 1)[0], 1, "f64", restitution, time_step="auto")
     ).step.linear_limit
 
 
@@ -245,7 +245,7 @@ def costs_of_a_step(kind, start, variants):
 
     jobs, times = {}, {}
     for name, (precision, changes) in variants.items():
-        scene = plate(kind, start, DEFAULT, precision, sample=30e-6, duration=1.0, **changes)
+        scene = plate(kind, start, DEFAULT, precision, sample_interval=30e-6, duration=1.0, **changes)
         jobs[name], times[name] = prepare_job(scene, (0,), None), []
     for _ in range(1 + ROUNDS):  # the first compiles
         for name, job in jobs.items():

@@ -314,7 +314,7 @@ UPRIGHT = pytest.param(TUBE, 0.0150, marks=pytest.mark.long)
 @pytest.mark.parametrize("piece, height", [UPRIGHT, (DUMB_BELL, 0.01)], ids=["tube", "dumb-bell"])
 def test_the_force_on_a_plate_is_the_weight(piece, height):
     """Of a piece that has come to rest; the law rings, the mean over 20 ms does not (1 %)."""
-    made = started(piece | {"position": (0, 0, height)}, sample=1e-4)
+    made = started(piece | {"position": (0, 0, height)}, sample_interval=1e-4)
     _, samples = run(made, 1000)
     weight = 9.81 * float(made.system.pieces.mass[0])
     assert -samples.mean_force[-200:, 2, 0].mean() == pytest.approx(weight, rel=1e-2)

@@ -176,7 +176,7 @@ def test_what_reverse_mode_keeps_changes_no_derivative(monkeypatch):
 
 
 def test_it_is_the_run_that_simulate_makes():
-    scene = ball(energy=False)
+    scene = ball(track_energy=False)
     run = dem_jax.simulate(scene.replace({"material.restitution": 0.5}))
     found = jax.jit(partial(dem_jax.rollout, scene))({"material.restitution": 0.5})
     assert set(found.series) == set(run.series)
@@ -362,7 +362,7 @@ def test_a_value_that_makes_the_time_step_unstable_is_refused():
         SceneError,
         match=r"density = 0\.001: the scene's time step, .* is not stable with it; allowed: .* at most",
     ):
-        dem_jax.rollout(ball(step="auto"), {"material.density": 1e-3})
+        dem_jax.rollout(ball(time_step="auto"), {"material.density": 1e-3})
 
 
 def test_double_precision_is_asked_for():

@@ -384,8 +384,8 @@ def rocking_box(duration, step):
         restitution=1.0,
         friction=0.0,
         duration=duration,
-        sample=1e-3,
-        step=step,
+        sample_interval=1e-3,
+        time_step=step,
     )
 
 
