@@ -245,7 +245,9 @@ def costs_of_a_step(kind, start, variants):
 
     jobs, times = {}, {}
     for name, (precision, changes) in variants.items():
-        scene = plate(kind, start, DEFAULT, precision, sample_interval=30e-6, duration=1.0, **changes)
+        scene = plate(
+            kind, start, DEFAULT, precision, sample_interval=30e-6, duration=1.0, **changes
+        )
         jobs[name], times[name] = prepare_job(scene, (0,), None), []
     for _ in range(1 + ROUNDS):  # the first compiles
         for name, job in jobs.items():

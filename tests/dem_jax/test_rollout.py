@@ -333,7 +333,6 @@ def test_every_number_has_the_limits_of_the_scene(name):
     free = {
         "height",
         "opening_angle_deg",
-        "opening_angle_deg",
         "start",
         "opening_start",
         "vibration_start",
