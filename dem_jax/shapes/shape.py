@@ -139,7 +139,7 @@ def size_length(shape: Shape, convention: str = "equivalent-diameter") -> float:
     """
     if convention not in SIZE_LENGTHS:
         raise SceneError(
-            f"stiffness_size = {convention!r} is unknown; allowed: {', '.join(SIZE_LENGTHS)}"
+            f"stiffness_length = {convention!r} is unknown; allowed: {', '.join(SIZE_LENGTHS)}"
         )
     return SIZE_LENGTHS[convention](shape)
 

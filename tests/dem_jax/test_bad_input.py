@@ -36,7 +36,7 @@ SET = [  # --set of plate-drop -> what the line must hold
     ("material.density=nan", r"material\.density = nan: allowed: a number > 0"),
     ("material.friction_wall=-1", r"material\.friction_wall = -1: allowed: a number >= 0"),
     ("material.separation_slope_ratio=1", r"material\.separation_slope_ratio = 1: allowed: a number >= 0 and < 1"),
-    ("material.stiffness_length=width2", r"stiffness_size = .*width2.* allowed: equivalent-diameter"),
+    ("material.stiffness_length=width2", r"stiffness_length = .*width2.* allowed: equivalent-diameter"),
     ("run.time_step=-1.0", r'run\.time_step = -1\.0: allowed: "auto" or a number > 0'),
     ("run.time_step=automatic", r'run\.time_step = "automatic": allowed: "auto" or a number > 0'),
     ("run.time_step=1e-3", r"run\.time_step = 0\.001: allowed: at most 3\.\d+e-05 s, the linear stability limit"),

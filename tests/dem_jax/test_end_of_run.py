@@ -308,12 +308,12 @@ def test_the_summary_says_what_a_peak_rests_on():
         (
             "plate-drop",
             {"run.sample_interval": 1.0},
-            r"run: sample = 1: longer than run\.duration = 0\.3; allowed: at most the duration",
+            r"run: sample_interval = 1: longer than run\.duration = 0\.3; allowed: at most the duration",
         ),
         (
             "plate-drop",
             {"run.duration": 1e-5},
-            r"sample = 3e-05: longer than run\.duration = 1e-05",
+            r"sample_interval = 3e-05: longer than run\.duration = 1e-05",
         ),
         (
             "weigh-bucket",

@@ -203,7 +203,7 @@ class Bare(SimpleNamespace):
 def bare_job():
     return Bare(
         sample_index=lambda state: 0, state=None, samples=10, clock=SimpleNamespace(compile=0.0),
-        scene=SimpleNamespace(run=SimpleNamespace(sample=1e-3)), steps_per_sample=1, runs=None,
+        scene=SimpleNamespace(run=SimpleNamespace(sample_interval=1e-3)), steps_per_sample=1, runs=None,
     )  # fmt: skip
 
 

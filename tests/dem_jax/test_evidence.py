@@ -78,7 +78,7 @@ def test_every_number_has_a_grade_and_a_source_or_is_called_a_judgement(name):
     """
     scene = load_scene("weigh-bucket", {"product": name})
     tree, rows = load_product(name, "test"), read_evidence(load_product(name, "test"), name)
-    of_model = {"softening", "youngs_modulus_range"}
+    of_model = {"numerical_softening", "youngs_modulus_range"}
     assert set(tree["material"]) - of_model <= set(rows) and {
         "piece_weight",
         "volume",

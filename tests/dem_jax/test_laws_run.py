@@ -298,7 +298,7 @@ MISTAKES = [
     ),
     (
         {"contact.law": "hertz-mindlin", "material.tangential_stiffness_ratio": 0.5},
-        r'tangential_stiffness = 0\.5: .* allowed: with law "walton-braun" or "linear-dashpot"',
+        r'tangential_stiffness_ratio = 0\.5: .* allowed: with law "walton-braun" or "linear-dashpot"',
     ),
     (
         {"contact.law": "linear-dashpot", "material.unloading_damping": 0.5},
@@ -311,7 +311,7 @@ MISTAKES = [
     ),
     (
         {"contact.cohesion.gap": 1.0},
-        r"contact\.cohesion\.gap = 1\.0: unknown key; allowed: stiffness, range",
+        r"contact\.cohesion\.gap = 1\.0: unknown key; allowed: stiffness, interaction_range",
     ),
 ]
 

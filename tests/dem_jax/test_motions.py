@@ -292,7 +292,7 @@ INLINE = [
     ),
     (
         {"times": (0.0, 1.0)},
-        r"motion\.times: without angles_deg or displacements; allowed: times with angles_deg, ways or both",
+        r"motion\.times: without angles_deg or displacements; allowed: times with angles_deg, displacements or both",
     ),
     ({"angles_deg": (0.0, 1.0)}, r"motion\.angles_deg: without times; allowed"),
     ({"displacements": ((0.0, 0.0, 0.0),)}, r"motion\.displacements: without times; allowed"),

@@ -372,7 +372,7 @@ def test_an_stl_that_is_no_convex_solid_is_refused_with_the_reason(tmp_path):
         ),
         (
             lambda: shapes.size_length(shapes.sphere(1.0), "girth"),
-            r"stiffness_size = 'girth' is unknown; allowed: equivalent-dia",
+            r"stiffness_length = 'girth' is unknown; allowed: equivalent-dia",
         ),
         (
             lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0)]),
