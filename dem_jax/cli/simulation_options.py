@@ -141,12 +141,14 @@ def import_figure_early() -> None:
 def use_cache() -> None:
     """Keep compiled programs in the user's cache folder, so that a second start need not compile.
 
-    JAX_COMPILATION_CACHE_DIR names another folder.
+    JAX_COMPILATION_CACHE_DIR names another folder, JAX_ENABLE_COMPILATION_CACHE=0 keeps none.
     """
     import jax
 
     from dem_jax import program_store
 
+    if not jax.config.jax_enable_compilation_cache:  # type: ignore[attr-defined]
+        return
     if given := jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
         program_store.use_folder(Path(given) / "dem_jax")
         return
