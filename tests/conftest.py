@@ -32,11 +32,6 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_enable_x64", True)
 
 
-def pytest_configure(config):
-    """No test uses a former name, but those of former names."""
-    config.addinivalue_line("filterwarnings", "error::dem_jax.deprecation.FormerNameWarning")
-
-
 @pytest.fixture(autouse=True)
 def _in_an_empty_folder(tmp_path, monkeypatch):
     """Each test runs in a folder of its own, so that a file it forgets to name cannot land in the

@@ -181,7 +181,10 @@ def test_what_is_left_open_follows_from_the_scene():
             {"inlet": {"mass_rate": 0.1}},
             r"\[inlet\] needs a \[portion\], and a \[feed_bucket\] or inlet\.box_low and inlet\.box_high",
         ),
-        ({"inlet": INLET | {"box_high": (0.1, 0.0, 0.1)}}, r"box_low = .*: allowed: not above box_high"),
+        (
+            {"inlet": INLET | {"box_high": (0.1, 0.0, 0.1)}},
+            r"box_low = .*: allowed: not above box_high",
+        ),
         (
             {"inlet": {"mass_rate": 0.1, "box_low": (0, 0, 0)}},
             r"high: missing; allowed: both corners, or none",
