@@ -489,7 +489,7 @@ def test_contacts_are_those_that_the_poses_show(runs):
             (-0.05, 0.05, 0.0),
         )
     ]
-    made = scene(samples=300, frames=SAMPLE).replace(motion=[], piece=pieces)
+    made = scene(samples=300, frame_interval=SAMPLE).replace(motion=[], piece=pieces)
     run = dem_jax.simulate(made) if runs is None else dem_jax.ensemble(made, runs=runs)
     position = run.pieces.position[..., 1:, :, :]
     first, second = np.triu_indices(4, 1)
