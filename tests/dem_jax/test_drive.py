@@ -46,7 +46,7 @@ def scene(drive=DRIVE, duration=0.6, motion=None, **run):
         "opening_time": 0.1,
         "hold_time": 0.0,
     }
-    swing |= {"closing": 0.2, "drive": drive} | (motion or {})
+    swing |= {"closing_time": 0.2, "drive": drive} | (motion or {})
     piece = {"shape": "chamfered-cuboid", "position": (0.0, 0.0, 0.008)}
     settings = {"duration": duration, "frame_interval": 0.0, "precision": "f64"} | run
     damped = {"law": "linear-dashpot"}  # so that all comes to rest soon

@@ -248,7 +248,7 @@ def test_a_step_beyond_the_stable_one_is_warned_of_with_the_error_to_expect():
         note.startswith("run.time_step: dt = ")
         and "times the stable step: an impact may gain up to about" in note
     )
-    assert assembly.assemble_system(ball({"step": 0.9 * limits.stable})).step.warning is None
+    assert assembly.assemble_system(ball({"time_step": 0.9 * limits.stable})).step.warning is None
 
 
 def test_limit_holds_for_a_body_between_two_walls():
@@ -278,7 +278,7 @@ def test_limit_holds_for_a_body_between_two_walls():
         # swing by 1 / (1 - q^2)
         assert energy.max() < energy.min() / (1 - part**2) * 1.3
     with pytest.raises(SceneError, match="linear stability limit"):
-        assembly.assemble_system(ball({"step": 1.01 * limit}, walls, **place).replace(smooth))
+        assembly.assemble_system(ball({"time_step": 1.01 * limit}, walls, **place).replace(smooth))
 
 
 def test_stability_limit_is_that_of_the_unloading_branch():
