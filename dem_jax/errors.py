@@ -15,7 +15,18 @@ class RecordError(ValueError):
 
 
 class PlatformError(RuntimeError):
-    """JAX does not find the devices that JAX_PLATFORMS requests."""
+    """JAX does not find the devices that JAX_PLATFORMS requests, or workers cannot be reached."""
+
+
+class TaskError(RuntimeError):
+    """A batch of a study, or some runs of an ensemble, could not be computed.
+
+    trace: where it went wrong, as Python reports it, maybe in another process; "": unknown.
+    """
+
+    def __init__(self, message: str, trace: str = "") -> None:
+        super().__init__(message)
+        self.trace = trace
 
 
 class SimulationError(RuntimeError):

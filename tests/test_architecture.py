@@ -44,14 +44,17 @@ MAY_IMPORT = {  # package -> packages below it
     "io": BASE | {"dynamics", "scene"},
     "weighing": {"errors", "scene", "io"},
     "assembly": CORE | {"shapes", "deprecation"},
-    "runner": CORE | {"assembly", "io", "__version__"},
+    "cluster": {"errors", "xla_flags", "process", "program_store", "__version__"},
+    "runner": CORE | {"assembly", "cluster", "io", "__version__"},
     "visualization": BASE | {"walls", "scene", "shapes", "assembly", "io", "weighing"},
-    "study": BASE | {"scene", "assembly", "dynamics", "runner", "io", "visualization", "weighing"},
+    "study": BASE
+    | {"scene", "assembly", "dynamics", "cluster", "runner", "io", "visualization", "weighing"},
     "validation": CORE | {"assembly", "runner", "io"},
     "app": BASE | {"scene", "shapes", "assembly", "io", "visualization", "study"},
     "cli": BASE
     | {
         "app",
+        "cluster",
         "deprecation",
         "dynamics",
         "scene",

@@ -29,7 +29,7 @@ from dem_jax.cli import (
     weigh,
 )
 from dem_jax.cli.arguments import BAD_INPUT, Parser, join_lines
-from dem_jax.errors import PlatformError, RecordError, SceneError, SimulationError
+from dem_jax.errors import PlatformError, RecordError, SceneError, SimulationError, TaskError
 
 COMMANDS = (
     run,
@@ -87,6 +87,9 @@ def _run_command(argv: Sequence[str] | None) -> int:
             else "; nothing was recorded before"
         )
         return _report_failure(RUN_FAILED, f"{error}{where}")
+    except TaskError as error:
+        print(error.trace, end="", file=sys.stderr)
+        return _report_failure(RUN_FAILED, error)
     except BrokenPipeError:  # of `| head`
         _mute_output()
         return 0

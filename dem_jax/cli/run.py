@@ -4,6 +4,7 @@ from pathlib import Path
 
 from dem_jax.cli import simulation_options
 from dem_jax.cli.arguments import Args, Commands, create_command, quantity_table
+from dem_jax.cluster.compile_cache import use_cache
 from dem_jax.errors import SceneError
 
 
@@ -27,7 +28,7 @@ def run_scene(args: Args) -> None:
         raise SceneError(
             "run --resume: allowed beside it: --duration, --no-plot, --quiet; the rest is in the file"
         )
-    simulation_options.use_cache()
+    use_cache()
     progress = not args.quiet
     if args.resume:
         from dem_jax.runner.interface import resume

@@ -73,7 +73,7 @@ def compile_program(scene: str, seed: int, runs: int) -> None:
     Raises:
         SceneError: it cannot be used.
     """
-    from dem_jax.cli.simulation_options import use_cache
+    from dem_jax.cluster.compile_cache import use_cache
     from dem_jax.runner import executors
     from dem_jax.runner.job_setup import prepare_job
     from dem_jax.scene import parse_scene

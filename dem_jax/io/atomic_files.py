@@ -4,10 +4,12 @@ a time.
 
 import errno
 import os
+import platform
 import secrets
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from hashlib import sha256
@@ -20,9 +22,13 @@ from dem_jax.errors import RecordError
 FileName = str | os.PathLike[str]
 Fingerprint = tuple[int, int, int, int]  # device, inode, size (bytes), time of the last change (ns)
 LEAST_ROOM = 2**16  # bytes: with less, work whose results go into a file need not begin
+LOCKED_BYTES = 1  # of a lock, before the text that says who holds it; Windows locks them
 OPEN_ELSEWHERE = "it is open in another program, which may write to it; close it there first"
 WRITTEN_ELSEWHERE = (
-    "another process writes it; allowed: another name, or to wait until that has ended"
+    "another process writes it{who}; allowed: another name, or to wait until that has ended"
+)
+CHANGED_ELSEWHERE = (
+    "was written by another process meanwhile; this one stops and leaves the file to that"
 )
 
 
@@ -56,6 +62,22 @@ def write_atomically(path: FileName, content: bytes | memoryview) -> Path:
     except OSError as error:
         raise RecordError(f"{path} cannot be written: {describe_os_error(error)}") from error
     return Path(path)
+
+
+def write_unchanged(
+    path: FileName, content: bytes | memoryview, known: Fingerprint | None
+) -> Fingerprint:
+    """Write a file anew that nobody else has written since; returns its fingerprint.
+
+    known: its fingerprint when this process read or wrote it last; None: there was no file. Raises
+    RecordError if that differs, or where the file cannot be written.
+    """
+    if read_fingerprint(path) not in (known, None):  # a file that was removed is written again
+        raise RecordError(f"{path} {CHANGED_ELSEWHERE}")
+    try:
+        return replace_file(resolve_destination(path), content)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {describe_os_error(error)}") from error
 
 
 def replace_file(path: Path, content: bytes | memoryview) -> Fingerprint:
@@ -189,17 +211,18 @@ def describe_os_error(error: OSError) -> str:
 
 @contextmanager
 def lock_file(path: FileName) -> Iterator[None]:
-    """Hold the lock on a file among the processes of this user and machine. Raises RecordError if
-    another one holds it.
+    """Hold the lock on a file among the processes of this user. Raises RecordError if another one
+    holds it, and says which.
 
     The lock is kept in the user's cache folder, not beside the file, and is released with the end
-    of the process.
+    of the process. It holds among machines that share that folder, if its file system locks.
     """
     held: tuple[str, int] | None = None
     try:
         held = _acquire_lock(resolve_destination(path))
     except BlockingIOError as error:
-        raise RecordError(f"{path} cannot be written: {WRITTEN_ELSEWHERE}") from error
+        words = WRITTEN_ELSEWHERE.format(who=_read_holder(error.filename))
+        raise RecordError(f"{path} cannot be written: {words}") from error
     except OSError:  # no folder for locks, or a file system without: ``read_fingerprint`` still
         # detects changes by another process
         pass
@@ -216,14 +239,18 @@ def lock_file(path: FileName) -> Iterator[None]:
 def _acquire_lock(place: Path) -> tuple[str, int]:
     """The name and the descriptor of a lock that is held."""
     folder = os.stat(place.parent)
-    key = f"{folder.st_dev} {folder.st_ino} {place.name}"
+    # the number of a network file system's device differs between the machines that use it
+    is_disk = not hasattr(os, "major") or os.major(folder.st_dev) != 0
+    device = folder.st_dev if is_disk else place.parent
+    key = f"{device} {folder.st_ino} {place.name}"
     name = os.path.join(_find_lock_folder(), sha256(os.fsencode(key)).hexdigest()[:32])
     while True:
         file = os.open(name, os.O_RDWR | os.O_CREAT, 0o600)
         try:
-            _lock_descriptor(file)
+            _lock_descriptor(file, name)
             with suppress(OSError):
                 if os.path.samestat(os.fstat(file), os.stat(name)):
+                    _write_holder(file)
                     return name, file
         except BaseException:
             os.close(file)
@@ -231,7 +258,24 @@ def _acquire_lock(place: Path) -> tuple[str, int]:
         os.close(file)  # its holder has removed it just now
 
 
-def _lock_descriptor(file: int) -> None:
+def _write_holder(file: int) -> None:
+    """Write into a lock who holds it."""
+    text = f" (process {os.getpid()} on {platform.node()}, since {time.strftime('%Y-%m-%d %H:%M')})"
+    with suppress(OSError):
+        os.ftruncate(file, 0)
+        os.lseek(file, LOCKED_BYTES, os.SEEK_SET)
+        os.write(file, text.encode())
+
+
+def _read_holder(name: str) -> str:
+    """Who holds a lock, in words; "" if unknown."""
+    with suppress(OSError, UnicodeDecodeError), open(name, "rb") as file:
+        file.seek(LOCKED_BYTES)
+        return file.read(200).decode()
+    return ""
+
+
+def _lock_descriptor(file: int, name: str) -> None:
     """Lock a descriptor. Raises BlockingIOError if another process holds the lock."""
     if sys.platform == "win32":
         import msvcrt
@@ -239,11 +283,14 @@ def _lock_descriptor(file: int) -> None:
         try:
             msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
         except OSError as error:
-            raise BlockingIOError(errno.EAGAIN, str(error)) from error
+            raise BlockingIOError(errno.EAGAIN, str(error), name) from error
     else:
         import fcntl
 
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BlockingIOError(errno.EAGAIN, str(error), name) from error
 
 
 def _find_lock_folder() -> str:

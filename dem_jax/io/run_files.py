@@ -9,6 +9,7 @@ from dem_jax.io.atomic_files import (
     read_fingerprint,
     resolve_destination,
     write_atomically,
+    write_unchanged,
 )
 from dem_jax.io.datasets import flatten_tree
 from dem_jax.io.header import RunHeader, StoredQuantity
@@ -35,4 +36,5 @@ __all__ = [
     "lock_file",
     "collect_series",
     "write_atomically",
+    "write_unchanged",
 ]

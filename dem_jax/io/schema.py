@@ -72,6 +72,20 @@ def is_count_table(value: Any) -> bool:
     return all(is_seed(row) or make_list_check(is_seed)(row) for row in rows)
 
 
+def is_part(value: Any) -> bool:
+    """Whether it says which runs of an ensemble a file holds."""
+    if not isinstance(value, dict) or value.keys() != {"first", "total", "ensemble", "versions"}:
+        return False
+    versions = value["versions"]
+    return (
+        is_seed(value["first"])
+        and is_count(value["total"])
+        and is_text(value["ensemble"])
+        and isinstance(versions, dict)
+        and all(map(is_text, versions.values()))
+    )
+
+
 HEADER_RULES = {
     "scene": AttributeRule(is_text, "TOML text"),
     "seed": AttributeRule(
@@ -103,6 +117,7 @@ INFO_RULES = {
     "piece_masses": AttributeRule(is_mass_list, "a mass of each piece, of each run if they differ"),
     "moving": AttributeRule(is_count_table, "a table of numbers of pieces"),
     "collisions": AttributeRule(lambda v: isinstance(v, dict), "a table"),
+    "part": AttributeRule(is_part, "first, total, ensemble and versions"),
     "parameters": AttributeRule(is_list_table, "a table of lists, of a value for each run"),
 }
 

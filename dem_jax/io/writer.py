@@ -23,6 +23,7 @@ import numpy as np
 from dem_jax import process
 from dem_jax.errors import RecordError
 from dem_jax.io.atomic_files import (
+    CHANGED_ELSEWHERE,
     Fingerprint,
     check_destination,
     describe_os_error,
@@ -224,9 +225,7 @@ class Writer:
             return
         if found is None:
             raise RecordError(f"{self._path} was deleted or moved while its run went on")
-        raise RecordError(
-            f"{self._path} was written by another process meanwhile; this one stops and leaves the file to that"
-        )
+        raise RecordError(f"{self._path} {CHANGED_ELSEWHERE}")
 
     def _commit_rows(self, appended: list[_PendingRows]) -> None:
         try:

@@ -4,7 +4,6 @@ several hosts.
 Each is a function of a Chunk, chosen once for a job.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -15,6 +14,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from dem_jax.broad_phase import overflow_recovery
+from dem_jax.cluster.environment import count_cores
 from dem_jax.dynamics import interleaved_batch, stepping
 from dem_jax.runner import multihost, programs
 from dem_jax.runner.chunk import (
@@ -172,7 +172,7 @@ def _run_on_cores(
         with jax.enable_x64(chunk.is_double):  # which holds for one thread only
             return jax.device_get(_drop_output_scratch(call_program(program, own(k))))
 
-    with ThreadPoolExecutor(_count_cores()) as pool:
+    with ThreadPoolExecutor(count_cores()) as pool:
         each = list(pool.map(run_group, groups))
     runs = len(chunk.state.step)
     done = jax.tree.map(lambda *x: together(x)[:runs], *each)
@@ -185,11 +185,6 @@ def _drop_scratch(state: State) -> State:
 
 def _drop_output_scratch(done: ComputedChunk) -> ComputedChunk:
     return done._replace(state=_drop_scratch(done.state))
-
-
-def _count_cores() -> int:
-    mine = getattr(os, "sched_getaffinity", None)  # not everywhere
-    return len(mine(0)) if mine else os.cpu_count() or 1
 
 
 def _build_device_mesh(runs: int) -> Mesh:

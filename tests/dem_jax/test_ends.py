@@ -20,7 +20,7 @@ import pytest
 
 from dem_jax import process, xla_flags
 from dem_jax.__main__ import main
-from dem_jax.cli import simulation_options
+from dem_jax.cluster import compile_cache
 from dem_jax.errors import PlatformError, RecordError
 from dem_jax.io import atomic_files
 from dem_jax.io.run_files import Writer, load_run
@@ -487,7 +487,7 @@ def test_a_kept_program_that_was_cut_short_is_removed(tmp_path):
         "Error writing persistent compilation cache entry for 'x'",
         "another warning",
     ):
-        simulation_options._show_warning(shown.append, tmp_path, message)
+        compile_cache._show_warning(shown.append, tmp_path, message)
     assert shown == ["another warning"]
     assert [path.name for path in tmp_path.iterdir()] == ["jit_stage-1-cache"]
 
