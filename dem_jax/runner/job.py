@@ -18,6 +18,16 @@ STEP_TIME, BODY_TIME = 5e-6, 0.3e-6  # pieces in flight take less, packed ones u
 
 
 @dataclass(frozen=True)
+class EnsemblePart:
+    """Which runs of an ensemble a job computes."""
+
+    first: int  # number of the first
+    total: int  # runs of the whole ensemble
+    ensemble: str  # digits that differ if anything of the ensemble does
+    versions: dict[str, str]  # with which it is computed
+
+
+@dataclass(frozen=True)
 class Job:
     """A run that is set up; for an ensemble, state has a leading run axis. Counts are in samples
     from the release.
@@ -39,8 +49,13 @@ class Job:
     notes: tuple[str, ...] = ()  # already in the file
     reruns: tuple[str, ...] = ()  # already in the file: chunks that needed larger capacities, and
     # the reasons
+    part: EnsemblePart | None = None  # of a job that computes some runs of an ensemble
     slow: bool = True  # all pieces, since the last check of the rule
     clock: Clock = field(default_factory=Clock)
+
+    def number_of(self, run: int) -> int:
+        """Number of a run of this job in the whole ensemble."""
+        return run + (self.part.first if self.part else 0)
 
     @property
     def is_shared(self) -> bool:
@@ -136,6 +151,11 @@ class Job:
         bodies = self.state.position.shape[-1] * (self.runs or 1)
         return self.steps_per_sample * (STEP_TIME + BODY_TIME * bodies)
 
+    @property
+    def estimated_time(self) -> float:
+        """Estimated time on one core (s) of each run, from settling to its end."""
+        return estimate_run_time(self.built)
+
     def chunk_end(self, at: int) -> int:
         """Last sample of the chunk that begins at a sample, the same in every run of the scene,
         however long."""
@@ -146,6 +166,12 @@ class Job:
         if self.stop_rule is None or at < self.stop_rule.start:
             return end
         return min(end, self.stop_rule.next_check(at))
+
+
+def estimate_run_time(built: assembly.AssembledSystem) -> float:
+    """Estimated time (s) of a run of a built scene on one core, from settling to its end."""
+    steps = built.settling_steps + built.samples * built.step.substeps
+    return steps * (STEP_TIME + BODY_TIME * built.state.position.shape[-1])
 
 
 def samples_per_block(system: System) -> int:

@@ -11,24 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from dem_jax.assembly import AssemblyCache, assemble_system, inline_files
+from dem_jax.assembly import AssembledSystem, AssemblyCache, assemble_system, inline_files
 from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
 from dem_jax.dynamics.interleaved_batch import RUNS_AT_ONCE
 from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.io.run_files import Run, load_restart
 from dem_jax.runner import parameter_sweep, warm_start
 from dem_jax.runner.interface import resume, run_job
-from dem_jax.runner.job import Job
+from dem_jax.runner.job import Job, estimate_run_time
 from dem_jax.runner.job_setup import prepare_job
 from dem_jax.runner.recording import build_header
 from dem_jax.scene import Scene
 from dem_jax.scene.material_properties import build_material_table
+from dem_jax.scene.messages import shorten_value
 from dem_jax.study.config import Study
 from dem_jax.study.design import Point, list_points
 
 BATCH_SIZE = 32  # drops: the most that a stopped study computes again
 LONG_BATCH_TIME = 180.0  # s, estimated time of a batch: longer ones are kept in a file during the
 # run, so that nothing is computed again
+
+
+MOST_NAMED = 3  # points, or ranges of numbers, in a message
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,15 @@ class Batch:
     points: tuple[Point, ...]
     seeds: tuple[int, ...]
     scene: Scene
+    work: float = 0.0  # s, estimated, of all drops on one core
+
+    @property
+    def name(self) -> str:
+        """The drops and their points in words, for messages."""
+        drops = f"drops {format_numbers(self.members)}"
+        each = list(dict.fromkeys(map(format_point, self.points)))
+        more = f", and {len(each) - MOST_NAMED} more points" if len(each) > MOST_NAMED else ""
+        return f"{drops} ({'; '.join(each[:MOST_NAMED])}{more})" if each[0] else drops
 
 
 @dataclass(frozen=True)
@@ -60,14 +73,16 @@ def list_batches(study: Study) -> Iterator[Batch | FailedDrops]:
     base = base if differ else inline_files(base)
     read = inline_files if differ else (lambda scene: scene)  # of points that have the same files
     # they are read once
-    forms, reuse = dict[int, Any](), AssemblyCache()
+    forms, works, reuse = dict[int, Any](), dict[int, float](), AssemblyCache()
     for n, point in enumerate(points):
         try:
             scene = read(base.replace(point))
+            built = assemble_system(scene, study.seed, reuse=reuse)
             forms[n] = (
-                _program_key(scene, study, reuse),
+                _program_key(scene, built),
                 [point[key] for key in point if parameter_sweep.is_file_key(key)],
             )
+            works[n] = estimate_run_time(built)
         except SceneError as error:
             if len(points) == 1:
                 raise
@@ -81,7 +96,13 @@ def list_batches(study: Study) -> Iterator[Batch | FailedDrops]:
             [n * study.seeds + k for n in numbers for k in range(study.seeds)], study.seeds
         ):
             rows = tuple(points[m // study.seeds] for m in members)
-            yield Batch(tuple(members), rows, tuple(map(study.member_seed, members)), common)
+            yield Batch(
+                tuple(members),
+                rows,
+                tuple(map(study.member_seed, members)),
+                common,
+                sum(works[m // study.seeds] for m in members),
+            )
 
 
 def _cut_members(members: list[int], seeds: int) -> list[list[int]]:
@@ -92,11 +113,28 @@ def _cut_members(members: list[int], seeds: int) -> list[list[int]]:
     return [members[k : k + size] for k in range(0, len(members), size)]
 
 
-def _program_key(scene: Scene, study: Study, reuse: AssemblyCache) -> Any:
+def _program_key(scene: Scene, built: AssembledSystem) -> Any:
     """Key that is equal for all drops of a batch."""
-    return parameter_sweep.program_signature(
-        assemble_system(scene, study.seed, reuse=reuse)
-    ), scene.run.model_dump_json(exclude={"step"})
+    return parameter_sweep.program_signature(built), scene.run.model_dump_json(exclude={"step"})
+
+
+def format_numbers(numbers: Sequence[int]) -> str:
+    """Numbers in words, with ranges: 0 to 3, 7."""
+    rows: list[list[int]] = []
+    for number in sorted(numbers):
+        if rows and number == rows[-1][-1] + 1:
+            rows[-1].append(number)
+        else:
+            rows.append([number])
+    said = [f"{row[0]} to {row[-1]}" if len(row) > 1 else f"{row[0]}" for row in rows]
+    more = [f"{len(said) - MOST_NAMED} more ranges"] if len(said) > MOST_NAMED else []
+    return ", ".join([*said[:MOST_NAMED], *more])
+
+
+def format_point(point: Point) -> str:
+    """A point in words."""
+    plain = lambda value: f"{value:.6g}" if isinstance(value, float) else shorten_value(value)
+    return ", ".join(f"{key} = {plain(value)}" for key, value in point.items())
 
 
 def _is_common(key: str) -> bool:
@@ -201,10 +239,3 @@ def _prepare_job(
     scene = batch.scene.replace(same | (heap or {}))
     rest = {key: values for key, values in parameters.items() if key not in same}
     return prepare_job(scene, seeds, len(seeds), (), None, rest or None)
-
-
-def extract_forces(run: Run) -> np.ndarray:
-    """The traces that are kept of an ensemble, [K, T] (kg), in single precision."""
-    from dem_jax.study.outputs import extract_traces
-
-    return extract_traces(run).force.astype(np.float32)

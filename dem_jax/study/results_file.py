@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dem_jax.errors import RecordError
-from dem_jax.io.atomic_files import write_atomically
+from dem_jax.io.atomic_files import Fingerprint, write_unchanged
 from dem_jax.io.datasets import open_for_reading
 from dem_jax.study.config import Study, validate_study
 from dem_jax.study.design import list_points
@@ -31,6 +31,9 @@ class StudyResults:
     time: np.ndarray | None = None  # [T] (s) of the traces
     force: dict[int, np.ndarray] = field(default_factory=dict)  # member -> [T] (kg)
     elapsed: float = 0.0  # s that all of it took
+    shard: str | None = None  # K/N, of a file that a shard began
+    computed_by: list[dict[str, str]] = field(default_factory=list)  # versions and machines that
+    # computed any of it
 
     @classmethod
     def create_empty(cls, study: Study) -> "StudyResults":
@@ -47,14 +50,20 @@ class StudyResults:
         return values.reshape(-1, self.study.seeds)
 
 
-def save_results(results: StudyResults, path: str | Path) -> None:
-    """Write a new file that replaces the former one. Raises RecordError."""
+def save_results(
+    results: StudyResults, path: str | Path, known: Fingerprint | None = None
+) -> Fingerprint:
+    """Write a new file that replaces the former one; returns its fingerprint.
+
+    known: the fingerprint of the former one; None: there is none. Raises RecordError, also if
+    another process has written the file since.
+    """
     import h5py
 
     image = io.BytesIO()
     with h5py.File(image, "w", libver=("v108", "v108")) as file:
         _write_results(file, results)
-    write_atomically(path, image.getbuffer())
+    return write_unchanged(path, image.getbuffer(), known)
 
 
 def _write_results(file: Any, results: StudyResults) -> None:
@@ -62,6 +71,9 @@ def _write_results(file: Any, results: StudyResults) -> None:
     file.attrs["study"] = results.study.to_toml()
     file.attrs["why"] = json.dumps({str(k): said for k, said in results.failure_reasons.items()})
     file.attrs["elapsed"] = results.elapsed
+    file.attrs["computed_by"] = json.dumps(results.computed_by)
+    if results.shard is not None:
+        file.attrs["shard"] = results.shard
     file["state"] = results.state
     for name, values in results.outputs.items():
         file[f"output/{name}"] = values
@@ -73,7 +85,7 @@ def _write_results(file: Any, results: StudyResults) -> None:
         file[f"parameter/{key}"] = [row for row in rows for _ in range(results.study.seeds)]
     if results.time is not None:
         file["time"] = results.time
-        for member, trace in results.force.items():
+        for member, trace in sorted(results.force.items()):
             file[f"force/{member}"] = trace
 
 
@@ -107,7 +119,12 @@ def _read_results(file: Any) -> StudyResults:
     why = {int(k): str(said) for k, said in json.loads(file.attrs["why"]).items()}
     time = file["time"][()] if "time" in file else None
     force = {int(k): trace[()] for k, trace in file["force"].items()} if "force" in file else {}
-    return StudyResults(study, state, outputs, why, time, force, float(file.attrs["elapsed"]))
+    elapsed, shard = float(file.attrs["elapsed"]), file.attrs.get("shard")
+    computed_by = [
+        {str(key): str(value) for key, value in row.items()}
+        for row in json.loads(file.attrs.get("computed_by", "[]"))
+    ]
+    return StudyResults(study, state, outputs, why, time, force, elapsed, shard, computed_by)
 
 
 def is_same_study(a: Study, b: Study) -> bool:
