@@ -41,7 +41,9 @@ def check_start_overlap(job: Job, guard: OverflowReport) -> None:
     if not overlap[member] > START_OVERLAP:
         return
     a, b = (body_name(job.system, body) for body in guard.start_pair.reshape(-1, 2)[member])
-    where = "" if job.runs is None else f" of run {member} (seed {job.seeds[member]})"
+    where = (
+        "" if job.runs is None else f" of run {job.number_of(member)} (seed {job.seeds[member]})"
+    )
     raise SceneError(
         f"{job.scene.name}: {b} and {a}{where} overlap at the start by {100 * overlap[member]:.3g} % "
         f"of the piece's width; allowed: at most {100 * START_OVERLAP:g} %"
@@ -147,7 +149,7 @@ def _name_run(job: Job, member: int) -> str:
         return job.scene.name
     own = job.sweep.values_for_run(member) if job.sweep is not None else {}
     said = "".join(f", {key} = {shorten_value(value)}" for key, value in own.items())
-    return f"{job.scene.name}, run {member} (seed {job.seeds[member]}{said})"
+    return f"{job.scene.name}, run {job.number_of(member)} (seed {job.seeds[member]}{said})"
 
 
 def _list_real_quantities(samples: Sample) -> list[str]:

@@ -14,16 +14,14 @@ from dem_jax.contact_laws import ContactLaw
 from dem_jax.dynamics.quantity import Quantity
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.io import run_files
-from dem_jax.runner import loop, multihost, recording, restart_state, sinks
-from dem_jax.runner.job import Job
-from dem_jax.runner.job_setup import prepare_job, validate_seed
-from dem_jax.runner.parameter_sweep import draw_parameters
+from dem_jax.runner import ensemble_parts, loop, multihost, recording, restart_state, sinks
+from dem_jax.runner.ensemble_plan import plan_ensemble
+from dem_jax.runner.job import EnsemblePart, Job
+from dem_jax.runner.job_setup import prepare_job
 from dem_jax.runner.progress import ProgressCallback
-from dem_jax.runner.uncertain_draws import draw_uncertain_numbers
-from dem_jax.scene import Scene, load_scene, parse_scene
+from dem_jax.scene import Scene, parse_scene
 
 FileName = str | Path
-MOST_RUNS = 10**6  # of an ensemble: more need too much memory for their setup
 
 
 def simulate(
@@ -112,32 +110,10 @@ def ensemble(
     Raises:
         SceneError: a parameter would need another program; otherwise as ``simulate``.
     """
-    if runs is not None and not 1 <= runs <= MOST_RUNS:
-        raise SceneError(f"runs = {runs}: allowed: a whole number from 1 to {MOST_RUNS}")
-    listed = np.ndim(seed) > 0
-    given = [validate_seed(one) for one in (np.asarray(seed).ravel() if listed else [seed])]
-    first = given[0] if given else 0
-    values = draw_parameters(parameters or {}, np.size(seed) if listed else runs, first)
-    count = (
-        len(next(iter(values.values())))
-        if values
-        else np.size(seed)
-        if listed
-        else 64
-        if runs is None
-        else int(runs)
-    )
-    if not count or (listed and runs not in (None, count)):
-        raise SceneError(
-            f"seed: {np.size(seed)} of them; allowed: one, or one for each of {runs or 'at least one'} run(s)"
-        )
-    seeds = tuple(given) if listed else tuple(range(first, first + count))
-    if uncertain:
-        scene = scene if isinstance(scene, Scene) else load_scene(scene)
-        scene, values = draw_uncertain_numbers(scene, count, first, values)
+    plan = plan_ensemble(scene, runs, seed, parameters, uncertain)
     with multihost.propagate_errors():
         return run_job(
-            prepare_job(scene, seeds, count, quantities, law, values or None),
+            prepare_job(plan.scene, plan.seeds, len(plan.seeds), quantities, law, plan.parameters),
             out,
             overwrite,
             progress,
@@ -188,6 +164,8 @@ def resume(
                 f"allowed: at least {samples * scene.run.sample_interval:g} s, which {path} holds"
             )
             raise SceneError(f"duration = {scene.run.duration:g}: {held}")
+        if "part" in header.info:
+            job = ensemble_parts.mark_part(job, EnsemblePart(**header.info["part"]))
         job = _continue_job(job, path, header, arrays, samples, frames)
         if samples == job.samples or "settled" in header.info:
             return run_files.load_run(path)

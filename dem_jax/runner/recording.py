@@ -2,6 +2,7 @@
 for a resume.
 """
 
+from dataclasses import asdict
 from typing import Any
 
 import jax
@@ -27,6 +28,8 @@ def build_header(job: Job) -> run_files.RunHeader:
     own: dict[str, Any] = {"law": type(job.system.law).__name__} if job.own_law else {}
     if job.sweep is not None:
         own |= {"parameters": job.sweep.parameters, "steps": [b.step.dt for b in job.sweep.built]}
+    if job.part is not None:
+        own["part"] = asdict(job.part)
     own["piece_masses"] = list_piece_masses(job)
     if job.system.present is not None:
         own["piece_counts"] = [
