@@ -16,6 +16,7 @@ import pytest
 
 from calibrate.__main__ import _parser as parser_of_calibrate
 from dem_jax.cli.main import build_parser
+from dem_jax.cluster.places import SITE_KEYS
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.tree_merging import parse_setting
 from dem_jax.study.config import Study
@@ -74,11 +75,13 @@ def test_a_command_is_one_that_the_program_takes(program, line):
 
 
 @pytest.mark.parametrize("code", blocks("toml"))
-def test_a_piece_of_toml_is_of_a_scene_or_a_study(code):
+def test_a_piece_of_toml_is_of_a_scene_a_study_or_a_site(code):
     tree = tomllib.loads(code)
     known = (
         {*Study.model_fields}
         if "outputs" in tree
+        else {*SITE_KEYS}
+        if "system" in tree
         else {*Scene.model_fields, "base", "product", "bucket"}
     )
     assert tree.keys() <= known
