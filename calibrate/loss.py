@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.summaries import log_increments, pulse_moments
+from calibrate.summaries import log_increments, pair_log_increments, pulse_moments
 from calibrate.unconstrained import ModelParameters
 from product_model import fall, model
 from product_model.grid import Grid
-from product_model.pulses import deposits
+from product_model.pulses import deposits, share_edges
 
 BLOCKS = ("height", "spread", "increments")
 
@@ -99,16 +99,26 @@ def _simulate_pulses(
     return model.pulses(height, mass, theta["dt_impact"], gravity)
 
 
-def _changes(pulses: model.Pulses, mass: jax.Array, phase: jax.Array, grid: Grid) -> jax.Array:
-    """Changes of the force over the weight from bin to bin of the fine grid, from the first impact
-    on.
+def _relative_pulses(
+    pulses: model.Pulses, mass: jax.Array, phase: jax.Array, grid: Grid
+) -> model.Pulses:
+    """Pulses of the force over the weight, from the first impact on, a phase after the beginning of
+    the fine grid.
     """
     first = jnp.min(jnp.where(mass > 0.0, pulses.start, jnp.inf))
     shifted = pulses.start - first + grid.sample * phase
     weight = jnp.sum(pulses.weight)
-    return deposits(
-        model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid
-    )
+    return model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight)
+
+
+def _pulse_increments(pulses: model.Pulses, grid: Grid, lags: tuple[int, ...]) -> jax.Array:
+    """[lags] log squared increments of the force of pulses; by pairs of their edges where these are
+    few, else by the trace.
+    """
+    if (4 * pulses.start.shape[0]) ** 2 > grid.samples:  # measured: the trace is faster from there
+        return log_increments(deposits(pulses, grid), lags)
+    bins, shares = share_edges(pulses, grid)
+    return pair_log_increments(bins, jnp.where(bins < grid.samples, shares, 0.0), lags)
 
 
 def moments(
@@ -144,7 +154,8 @@ def increments(
     def one(draw: Any) -> jax.Array:
         z, v, phase, mass, offset = draw
         pulses = _simulate_pulses(theta, z, v, mass, offset, measured.gravity)
-        return log_increments(_changes(pulses, mass, phase, measured.grid), measured.lags)
+        relative = _relative_pulses(pulses, mass, phase, measured.grid)
+        return _pulse_increments(relative, measured.grid, measured.lags)
 
     some = draws.z, draws.v, draws.phase, draws.mass, draws.offset
     return jax.lax.map(one, jax.tree.map(lambda leaf: leaf[:fine], some))

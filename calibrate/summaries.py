@@ -150,6 +150,26 @@ def log_increments(changes: jax.Array, lags: Sequence[int]) -> jax.Array:
     return jnp.log(jnp.maximum(squares, 1e-12 * jnp.maximum(jnp.sum(changes**2), 1e-12)))
 
 
+def pair_log_increments(bins: jax.Array, changes: jax.Array, lags: Sequence[int]) -> jax.Array:
+    """[lags]: ``log_increments`` of a trace that changes at a few places only, from the products of
+    all pairs of them: O(places squared), whatever the length of the trace.
+
+    Args:
+        bins: [P] whole numbers, places of the changes; places may be listed several times.
+        changes: [P] changes of the trace there.
+        lags: static (bins).
+    """
+    kernels = np.zeros((BLOCK + 1, len(lags)))  # beyond the longest lag nothing
+    kernels[:BLOCK] = np.stack([increment_kernel(lag) for lag in lags], axis=1)
+    apart = jnp.minimum(jnp.abs(bins[:, None] - bins[None, :]), BLOCK)
+    products = changes[:, None] * changes[None, :]
+    weights = jnp.asarray(kernels, changes.dtype)[apart.reshape(-1)]
+    squares = jnp.einsum(
+        "pl,p->l", weights, products.reshape(-1), precision=jax.lax.Precision.HIGHEST
+    )
+    return jnp.log(jnp.maximum(squares, 1e-12 * jnp.maximum(jnp.sum(changes**2), 1e-12)))
+
+
 def trace_log_increments(force: np.ndarray, lags: Sequence[int]) -> np.ndarray:
     """``log_increments`` of one measured trace [T] (NumPy), by its definition: traces of any
     length, without a program for each.

@@ -87,15 +87,20 @@ def deposits(pulses: PulseTrain, grid: Grid) -> jax.Array:
     """Changes [T] (N) of the interval mean from one sample to the next: each edge's jump, shared by
     two neighbours.
     """
+    bins, shares = share_edges(pulses, grid)
+    return jnp.zeros(grid.samples, shares.dtype).at[bins].add(shares, mode="drop")
+
+
+def share_edges(pulses: PulseTrain, grid: Grid) -> tuple[jax.Array, jax.Array]:
+    """Bins and shares (N) of the edges' jumps, each in two neighbours, [2 edges]; bins beyond the
+    grid are those from its number of samples on.
+    """
     times, jumps = pulses.edges()
     position = in_samples(times, grid)
     whole = jnp.floor(position)
     later = jumps * (position - whole)
     bin_ = whole.astype(jnp.int32)
-    nothing = jnp.zeros(grid.samples, jumps.dtype)
-    return nothing.at[jnp.concatenate([bin_, bin_ + 1])].add(
-        jnp.concatenate([jumps - later, later]), mode="drop"
-    )
+    return jnp.concatenate([bin_, bin_ + 1]), jnp.concatenate([jumps - later, later])
 
 
 # position of a corner in its interval, [3, pulses] -> shares of the change of slope in this bin and

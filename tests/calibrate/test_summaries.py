@@ -7,12 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from calibrate import loss
 from calibrate.fit_data import LAGS, draw_random_numbers, measure_summaries, whitening
-from calibrate.loss import energy_distance
+from calibrate.loss import MeasuredSummaries, RandomDraws, energy_distance
 from calibrate.summaries import (
     first_rest,
     log_increments,
     momentum_release,
+    pair_log_increments,
     pulse_moments,
     still_falling,
     trace_log_increments,
@@ -20,6 +22,8 @@ from calibrate.summaries import (
 )
 from calibrate.targets import rebin, target
 from product_model import ensemble, parameters, simulate
+from product_model.grid import Grid
+from product_model.pulses import deposits
 
 M_PIECE = 5.832e-3
 
@@ -97,6 +101,41 @@ def test_increments_equal_shifted_differences():
     np.testing.assert_allclose(
         log_increments(jnp.diff(jnp.asarray(force), prepend=0.0), LAGS), expected, rtol=1e-12
     )
+
+
+@pytest.mark.parametrize("places", [1, 5, 40])
+def test_increments_of_few_changes_are_those_of_the_trace(places):
+    random = np.random.default_rng(places)
+    bins = random.integers(0, 300, places)
+    bins[places // 2] = bins[0]  # two at one place
+    changes = random.normal(size=places)
+    trace = jnp.zeros(300).at[bins].add(changes)
+    pairs = pair_log_increments(jnp.asarray(bins), jnp.asarray(changes), LAGS)
+    np.testing.assert_allclose(pairs, log_increments(trace, LAGS), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("pieces", [3, 9, 40])
+def test_simulated_increments_do_not_depend_on_how_they_are_summed(pieces, monkeypatch):
+    """Also of portions with fewer pieces than others, and of pulses beyond the end of the grid."""
+    random = np.random.default_rng(1)
+    mass = jnp.asarray(
+        np.where(np.arange(pieces) < pieces - random.integers(0, 2, (6, 1)), 0.005, 0)
+    )
+    normal, uniform = jnp.asarray(random.normal(size=6)), jnp.asarray(random.uniform(size=6))
+    draws = RandomDraws(
+        normal, jnp.asarray(random.uniform(-1, 1, mass.shape)), uniform, uniform, mass, 0 * normal
+    )
+    theta = {"dt_impact": 5e-4, "gamma_low": 0.03, "gamma_high": 0.2, "h_mean": 0.2}
+    theta = {name: jnp.asarray(value) for name, value in theta.items()}
+    grid = Grid(0.0, 6e-5, 1600)
+    one = jnp.ones(())
+    measured = MeasuredSummaries(
+        normal, normal, mass, mass, mass, one, 9.81 * one, 1e-4 * one, grid=grid, lags=LAGS
+    )
+    found = loss.increments(theta, draws, measured, 6)
+    by_trace = lambda pulses, grid, lags: log_increments(deposits(pulses, grid), lags)
+    monkeypatch.setattr(loss, "_pulse_increments", by_trace)
+    np.testing.assert_allclose(found, loss.increments(theta, draws, measured, 6), atol=1e-11)
 
 
 def test_whitened_increments_are_uncorrelated_and_few_traces_are_not_taken_at_their_word():
