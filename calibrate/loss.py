@@ -139,7 +139,9 @@ def moments(
             landed, jumps, jnp.sum(pulses.weight), measured.end, measured.gravity, measured.floor
         )
 
-    return jax.vmap(one)(draws.z, draws.v, draws.last, draws.mass, draws.offset)
+    # portions last: sums over pieces are then those of whole rows
+    rows = draws.z, draws.v.T, draws.last, draws.mass.T, draws.offset
+    return jax.vmap(one, in_axes=(0, 1, 0, 1, 0))(*rows)
 
 
 def increments(
