@@ -116,14 +116,14 @@ def add_dashpots(
             age, spring, rubbing.stiffness, across, slip, rubbing.friction * force, c.dt
         )
     if c.relative_rotation is not None:
-        turn = (
+        rotation = (
             c.relative_rotation
             if c.torsion is None
             else vector.add_scaled(
                 c.relative_rotation, -vector.dot(c.relative_rotation, c.normal), c.normal
             )
         )
-        torque, kept = damped_torque(before, age, spring, turn, force, c.dt)
+        torque, kept = damped_torque(before, age, spring, rotation, force, c.dt)
         elastic = jnp.stack(kept)
     history = answer.history._replace(resting=QuasiStaticHistory(age, elastic))
     return answer._replace(
@@ -182,14 +182,16 @@ def damped_torque(
     before: QuasiStaticHistory,
     age: Array,
     spring: DampedSpring,
-    turn: Vector,
+    rotation: Vector,
     force: Array,
     dt: Array,
 ) -> tuple[Vector, Vector]:
-    """Torque on b and its elastic part (N m), [P] x 3. turn: rotation of b relative to a in this
+    """Torque on b and its elastic part (N m), [P] x 3. rotation: rotation of b relative to a in this
     step (rad); force: F_n (N).
     """
-    trial = vector.add_scaled(vector.unstack_vector(before.twist), -spring.rolling_stiffness, turn)
+    trial = vector.add_scaled(
+        vector.unstack_vector(before.twist), -spring.rolling_stiffness, rotation
+    )
     size, limit = vector.norm(trial), TORQUE_ARM_RATIO * spring.size * force
     slips = size > limit
     factor = jnp.where(age >= 1, jnp.where(slips, limit / jnp.where(slips, size, 1), 1), 0)
@@ -199,7 +201,7 @@ def damped_torque(
         damping_coefficient(spring, spring.unload) * (PATCH_RADIUS_RATIO * spring.size) ** 2 / dt,
         0,
     )
-    return vector.fusion_barrier(*vector.add_scaled(elastic, -viscous, turn)), elastic
+    return vector.fusion_barrier(*vector.add_scaled(elastic, -viscous, rotation)), elastic
 
 
 def torque_energy(resting: QuasiStaticHistory, spring: DampedSpring) -> Array:

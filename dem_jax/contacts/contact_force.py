@@ -68,39 +68,41 @@ def evaluate_contact_forces(
     a: BodyState,
     b: BodyState,
     offset: Vector,
-    met: WorldContacts,
-    turn: Vector | None,
+    contacts: WorldContacts,
+    rotation: Vector | None,
     is_due: Array,
     share: Array | None = None,
 ) -> ContactLoads:
     """Evaluate the contact law.
 
-    offset: between the centres of the bodies, [P] x 3 (m); met: contact geometry in world axes;
-    turn: ``ContactKinematics.relative_rotation``; is_due: [] bool, whether friction arms are
+    offset: between the centres of the bodies, [P] x 3 (m); contacts: contact geometry in world axes;
+    rotation: ``ContactKinematics.relative_rotation``; is_due: [] bool, whether friction arms are
     recomputed; share: [P], the part of a shared contact that each slot has.
     """
     offset = offset_between_pieces(a, b, offset)
-    if met.weight is not None:  # separating bodies have no geometric contact point: the last one is
+    if (
+        contacts.weight is not None
+    ):  # separating bodies have no geometric contact point: the last one is
         # kept until separation
-        stays = (met.weight <= 0) & (memory.overlap > 0)
-        at_b = vector.where(stays, vector.unstack_vector(memory.point), met.at_b)
-        met = met._replace(at_b=at_b, at_a=vector.add(at_b, offset))
-    motion, approach = _contact_displacement(system, a, b, offset, memory, met)
-    depth = effective_overlap(system, slots, met.overlap)
-    deeper, doubt = _deepest_approach(system, a, b, offset, memory, met, approach)
+        stays = (contacts.weight <= 0) & (memory.overlap > 0)
+        at_b = vector.where(stays, vector.unstack_vector(memory.point), contacts.at_b)
+        contacts = contacts._replace(at_b=at_b, at_a=vector.add(at_b, offset))
+    motion, approach = _contact_displacement(system, a, b, offset, memory, contacts)
+    depth = effective_overlap(system, slots, contacts.overlap)
+    deeper, doubt = _deepest_approach(system, a, b, offset, memory, contacts, approach)
     inside = overlap_tracking.track_overlap(
-        memory.overlap, deeper, doubt, depth, met.at_a, met.at_b
+        memory.overlap, deeper, doubt, depth, contacts.at_a, contacts.at_b
     )
-    overlap = met.overlap + (inside - depth)
+    overlap = contacts.overlap + (inside - depth)
     part = _touching_fraction(memory, approach, inside)
     slip = vector.fusion_barrier(
-        *vector.scale(part, vector.add_scaled(motion, approach, met.normal))
+        *vector.scale(part, vector.add_scaled(motion, approach, contacts.normal))
     )
-    arm = _update_friction_arm(system, memory, met, inside, is_due)
+    arm = _update_friction_arm(system, memory, contacts, inside, is_due)
     torsion = (
         None
-        if arm is None or turn is None
-        else _torsional_slip(memory, arm, met.normal, turn, part)
+        if arm is None or rotation is None
+        else _torsional_slip(memory, arm, contacts.normal, rotation, part)
     )
     roll = (
         None
@@ -108,26 +110,36 @@ def evaluate_contact_forces(
         else vector.scale(system.dt, vector.sub(b.spin, a.spin))
     )
     contact = ContactKinematics(
-        overlap, approach, slip, met.normal, system.dt, turn, roll, torsion, system.resolved
+        overlap,
+        approach,
+        slip,
+        contacts.normal,
+        system.dt,
+        rotation,
+        roll,
+        torsion,
+        system.resolved,
     )
-    said = system.law.force(slots.pair, memory.law, contact)
-    force = vector.scale(said.normal_force, met.normal)
-    if said.tangential_force is not None:
-        force = vector.add(force, said.tangential_force)
+    response = system.law.force(slots.pair, memory.law, contact)
+    force = vector.scale(response.normal_force, contacts.normal)
+    if response.tangential_force is not None:
+        force = vector.add(force, response.tangential_force)
     if share is not None:
         force = vector.scale(share, force)
-    after = ContactHistory(jnp.maximum(inside, 0), jnp.stack(met.at_b), said.history, arm, met.tied)
+    after = ContactHistory(
+        jnp.maximum(inside, 0), jnp.stack(contacts.at_b), response.history, arm, contacts.tied
+    )
     deepest = batch_reduction.max_contact_per_run(
         system,
         _largest_possible_overlap(slots, memory.overlap, overlap, approach) / slots.width,
         slots.b,
     )
     reaction = vector.scale(-1, force)
-    on_a, on_b = vector.cross(met.at_a, reaction), vector.cross(met.at_b, force)
-    if said.torque is not None:
-        twist = said.torque if share is None else vector.scale(share, said.torque)
+    on_a, on_b = vector.cross(contacts.at_a, reaction), vector.cross(contacts.at_b, force)
+    if response.torque is not None:
+        twist = response.torque if share is None else vector.scale(share, response.torque)
         on_a, on_b = vector.sub(on_a, twist), vector.add(on_b, twist)
-    rise = _reversal_increment(system, said, met.normal, share)
+    rise = _reversal_increment(system, response, contacts.normal, share)
     load_a, load_b = (
         jnp.stack([*reaction, *on_a, jnp.zeros_like(rise)]),
         jnp.stack([*force, *on_b, rise]),
@@ -138,19 +150,19 @@ def evaluate_contact_forces(
         touch = jnp.stack(
             [
                 jnp.where(begins, approach / system.dt, 0),
-                said.normal_force if share is None else share * said.normal_force,
+                response.normal_force if share is None else share * response.normal_force,
             ]
         )
     return ContactLoads(after, load_a, load_b, deepest, touch)
 
 
 def _reversal_increment(
-    system: System, said: Response, normal: Vector, share: Array | None
+    system: System, response: Response, normal: Vector, share: Array | None
 ) -> Array:
     """Increment of the force on b along gravity at the reversal of loading, [P] (N)."""
-    if said.reversal_increment is None:
-        return jnp.zeros_like(said.normal_force)
-    rise = said.reversal_increment * vector.dot(normal, gravity_direction(system))
+    if response.reversal_increment is None:
+        return jnp.zeros_like(response.normal_force)
+    rise = response.reversal_increment * vector.dot(normal, gravity_direction(system))
     return rise if share is None else share * rise
 
 
@@ -160,7 +172,7 @@ def _contact_displacement(
     b: BodyState,
     offset: Vector,
     memory: ContactHistory,
-    met: WorldContacts,
+    contacts: WorldContacts,
 ) -> tuple[Vector, Array]:
     """Displacement of b relative to a at the contact point in this step, [P] x 3 (m), and its
     component towards a, [P] (m).
@@ -169,25 +181,31 @@ def _contact_displacement(
     the step.
     """
     first = memory.overlap <= 0
-    way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
+    displacement = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
     arm_b = vector.where(
         first,
-        met.at_b,
-        vector.scale(0.5, vector.add(vector.unstack_vector(memory.point), met.at_b)),
+        contacts.at_b,
+        vector.scale(0.5, vector.add(vector.unstack_vector(memory.point), contacts.at_b)),
     )
-    arm_a = vector.add(arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, way)))
-    motion = vector.fusion_barrier(*_relative_displacement(system, a, b, way, arm_a, arm_b))
-    return motion, vector.fusion_barrier(-vector.dot(motion, met.normal))
+    arm_a = vector.add(
+        arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, displacement))
+    )
+    motion = vector.fusion_barrier(
+        *_relative_displacement(system, a, b, displacement, arm_a, arm_b)
+    )
+    return motion, vector.fusion_barrier(-vector.dot(motion, contacts.normal))
 
 
 def _relative_displacement(
-    system: System, a: BodyState, b: BodyState, way: Vector, arm_a: Vector, arm_b: Vector
+    system: System, a: BodyState, b: BodyState, displacement: Vector, arm_a: Vector, arm_b: Vector
 ) -> Vector:
-    """Displacement of a point of b relative to one of a, [P] x 3 (m); way: displacement of their
+    """Displacement of a point of b relative to one of a, [P] x 3 (m); displacement: displacement of their
     centres; the lever arms are those at the middle of the step.
     """
     return vector.add_scaled(
-        way, system.dt, vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
+        displacement,
+        system.dt,
+        vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a)),
     )
 
 
@@ -197,7 +215,7 @@ def _deepest_approach(
     b: BodyState,
     offset: Vector,
     memory: ContactHistory,
-    met: WorldContacts,
+    contacts: WorldContacts,
     approach: Array,
 ) -> tuple[Array, Array]:
     """Approach of the deepest point in this step, and its uncertainty, [P] (m).
@@ -206,14 +224,19 @@ def _deepest_approach(
     before.
     """
     spin = vector.scale(system.dt, vector.sub(b.spin, a.spin))
-    moved = vector.cross(spin, vector.sub(met.at_b, vector.unstack_vector(memory.point)))
-    doubt = 0.5 * jnp.abs(vector.dot(moved, met.normal))
-    if met.deepest is None:
+    moved = vector.cross(spin, vector.sub(contacts.at_b, vector.unstack_vector(memory.point)))
+    doubt = 0.5 * jnp.abs(vector.dot(moved, contacts.normal))
+    if contacts.deepest is None:
         return approach, doubt
-    (point, spread), way = met.deepest, vector.scale(system.dt, vector.sub(b.velocity, a.velocity))
+    (point, spread), displacement = (
+        contacts.deepest,
+        vector.scale(system.dt, vector.sub(b.velocity, a.velocity)),
+    )
     arm_b = vector.add_scaled(point, -0.5 * system.dt, vector.cross(b.spin, point))
-    arm_a = vector.add(arm_b, vector.add_scaled(offset, -0.5, way))
-    corner = -vector.dot(_relative_displacement(system, a, b, way, arm_a, arm_b), met.normal)
+    arm_a = vector.add(arm_b, vector.add_scaled(offset, -0.5, displacement))
+    corner = -vector.dot(
+        _relative_displacement(system, a, b, displacement, arm_a, arm_b), contacts.normal
+    )
     doubt = doubt + spread * (jnp.abs(spin[0]) + jnp.abs(spin[1]) + jnp.abs(spin[2]))
     deeper, doubt = vector.fusion_barrier(
         jnp.where(spread > 0, approach, corner), jnp.where(spread > 0, doubt, 0)
@@ -250,7 +273,7 @@ def needs_arm_update(state: State) -> Array:
 
 
 def _update_friction_arm(
-    system: System, memory: ContactHistory, met: WorldContacts, within: Array, is_due: Array
+    system: System, memory: ContactHistory, contacts: WorldContacts, within: Array, is_due: Array
 ) -> Array | None:
     """Arm of friction about the normal (m), [P], recomputed for new contacts and every few steps,
     else the previous one.
@@ -258,24 +281,24 @@ def _update_friction_arm(
     Stored energy does not depend on the arm (``contact_laws.friction``), so that an arm that is a
     few steps old adds no energy.
     """
-    before, moments = memory.arm, met.moments
+    before, moments = memory.arm, contacts.moments
     if before is None or moments is None:
         return None
     begins = (memory.overlap <= 0) & (within > 0)
     anew = begins | is_due
-    if met.weight is not None:
-        anew = anew & (begins | (met.weight > 0))
+    if contacts.weight is not None:
+        anew = anew & (begins | (contacts.weight > 0))
     fresh = lambda: patch_moments.friction_arm(moments())
     found = jax.lax.cond(jnp.any(anew), fresh, lambda: before) if system.slot_block else fresh()
     return vector.fusion_barrier(jnp.where(anew, found, before))
 
 
 def _torsional_slip(
-    memory: ContactHistory, arm: Array, normal: Vector, turn: Vector, part: Array
+    memory: ContactHistory, arm: Array, normal: Vector, rotation: Vector, part: Array
 ) -> Torsion:
     """Rotation about the normal in this step, times the arm in the middle of it. part: fraction of
     the step that counts, [P].
     """
     assert memory.arm is not None
     middle = jnp.where(memory.overlap <= 0, arm, 0.5 * (memory.arm + arm))
-    return Torsion(arm, vector.fusion_barrier(part * middle * vector.dot(turn, normal)))
+    return Torsion(arm, vector.fusion_barrier(part * middle * vector.dot(rotation, normal)))

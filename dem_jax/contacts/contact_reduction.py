@@ -112,34 +112,36 @@ def slice_shared_contacts(
     )
 
 
-def drop_unowned(slots: PairConstants, met: WorldContacts) -> WorldContacts:
+def drop_unowned(slots: PairConstants, contacts: WorldContacts) -> WorldContacts:
     """The contacts without those on shared surfaces that belong to another slot."""
-    assert met.weight is not None
-    return met._replace(
-        overlap=jnp.where((met.weight > 0) | ~is_on_shared_surface(slots), met.overlap, -1)
+    assert contacts.weight is not None
+    return contacts._replace(
+        overlap=jnp.where(
+            (contacts.weight > 0) | ~is_on_shared_surface(slots), contacts.overlap, -1
+        )
     )
 
 
 def find_load_shares(
-    slots: PairConstants, met: WorldContacts, own: WorldContacts, of: SharedTile
+    slots: PairConstants, contacts: WorldContacts, own: WorldContacts, of: SharedTile
 ) -> Array:
     """Share of each slot of a tile in the contact with the surface, [B]; 1 for slots without a
     shared surface.
 
-    slots, own: of the tile; met: of all slots; both with the weights of the touching contacts.
+    slots, own: of the tile; contacts: of all slots; both with the weights of the touching contacts.
     """
     del slots
     assert own.weight is not None
-    total = total_weight(met, of)
+    total = total_weight(contacts, of)
     part = own.weight / jnp.where(total > 0, total, 1)
     return jnp.where(of.number > 0, part, 1)
 
 
-def total_weight(met: WorldContacts, of: SharedTile) -> Array:
-    """Total weight of each slot of a tile and the contacts merged with it, [B]. met: of all
+def total_weight(contacts: WorldContacts, of: SharedTile) -> Array:
+    """Total weight of each slot of a tile and the contacts merged with it, [B]. contacts: of all
     slots.
     """
-    weight = met.weight
+    weight = contacts.weight
     assert weight is not None
     add = lambda total, slot, there: total + jnp.where(there, weight[slot], 0)
     return fold_shared_contacts(of, add, jnp.zeros(of.number.shape, weight.dtype))
@@ -147,7 +149,7 @@ def total_weight(met: WorldContacts, of: SharedTile) -> Array:
 
 def merge_contacts(
     slots: PairConstants,
-    met: WorldContacts,
+    contacts: WorldContacts,
     share: Array,
     before: ContactHistory,
     own: WorldContacts,
@@ -162,20 +164,20 @@ def merge_contacts(
 
     met, share, before: of all slots; own, offset (m, between the centres of pieces): of the tile.
     """
-    parts = vector.fusion_barrier(*vector.scale(share, met.at_b))
+    parts = vector.fusion_barrier(*vector.scale(share, contacts.at_b))
     spread = (
         ()
-        if met.spread is None
+        if contacts.spread is None
         else (
             patch_moments.scale_moments(
                 share,
                 patch_moments.add_moments(
-                    met.spread, patch_moments.outer_product(met.at_b, met.at_b)
+                    contacts.spread, patch_moments.outer_product(contacts.at_b, contacts.at_b)
                 ),
             ),
         )
     )
-    overlaps = (before.overlap,) if slots.surface_b is None else (before.overlap, met.overlap)
+    overlaps = (before.overlap,) if slots.surface_b is None else (before.overlap, contacts.overlap)
     nothing = (jnp.full(of.number.shape, -jnp.inf, share.dtype), of.itself)  # overlap of the
     # deepest contact so far, and its slot
 
@@ -207,9 +209,9 @@ def merge_contacts(
     if slots.surface_b is None:
         return one, memory, part
     pick, has_part = deepest[1][1], own.overlap > -1
-    normal = vector.where(has_part, vector.take_entries(met.normal, pick), own.normal)
-    overlap = jnp.where(has_part, met.overlap[pick], own.overlap)
-    deepest_point = select_deepest_points(has_part, pick, met.deepest, own.deepest)
+    normal = vector.where(has_part, vector.take_entries(contacts.normal, pick), own.normal)
+    overlap = jnp.where(has_part, contacts.overlap[pick], own.overlap)
+    deepest_point = select_deepest_points(has_part, pick, contacts.deepest, own.deepest)
     return one._replace(overlap=overlap, normal=normal, deepest=deepest_point), memory, part
 
 

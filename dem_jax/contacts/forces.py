@@ -164,12 +164,12 @@ def _evaluate_kind(
     def evaluate_tile(k: Array, carry: KindResult) -> KindResult:
         memory, facing, loads, overlap, touch, _ = carry
         rows = slice_constants_tile(system, kind, slots, k, size)
-        known = _take_cached_geometry(near, facing, lambda tree: slice_tile(tree, k, size))
+        cached = _take_cached_geometry(near, facing, lambda tree: slice_tile(tree, k, size))
         part, seen = _resolve_contacts(
             system,
             kind,
             _load_tile(stacked, rows, write_in_place(kind, slice_tile(memory, k, size))),
-            known,
+            cached,
             is_due,
         )
         memory = update_tile(memory, write_in_place(kind, part.memory), k, size)
@@ -285,12 +285,12 @@ def _find_touching(
     def touch_tile(
         k: Array | int, carry: tuple[WorldContacts, SupportFaces | None]
     ) -> tuple[WorldContacts, SupportFaces | None]:
-        known = _take_cached_geometry(
+        cached = _take_cached_geometry(
             shared.active_features, carry[1], lambda tree: slice_tile(tree, k, shared.size)
         )
         memory, rows, a, b, offset = shared.load_tile(k)
         depth, rest, seen = compute_contact_geometry(
-            shared.system, shared.kind, rows, a, b, offset, known
+            shared.system, shared.kind, rows, a, b, offset, cached
         )
         there = shared.are_touching(rows, depth) & rows.live | (memory.overlap > 0)
         none = slice_tile(nothing, k, shared.size)
@@ -469,11 +469,11 @@ def _relative_rotation(system: System, kind: str, a: BodyState, b: BodyState) ->
 
 
 def _resolve_contacts(
-    system: System, kind: str, side: ContactTile, known: CachedGeometry, is_due: Array
+    system: System, kind: str, side: ContactTile, cached: CachedGeometry, is_due: Array
 ) -> tuple[ContactLoads, SupportFaces | None]:
     """Evaluate geometry and contact law of the contacts of one kind."""
     memory, slots, a, b, offset = side
-    depth, rest, facing = compute_contact_geometry(system, kind, slots, a, b, offset, known)
+    depth, rest, facing = compute_contact_geometry(system, kind, slots, a, b, offset, cached)
     turn = _relative_rotation(system, kind, a, b)
 
     def evaluate_loads() -> ContactLoads:

@@ -106,13 +106,13 @@ def largest_fillet(walls: Walls, parts: Parts) -> float:
 
 
 def find_load_shares(
-    slots: PairConstants, met: WorldContacts, own: WorldContacts, of: SharedTile
+    slots: PairConstants, contacts: WorldContacts, own: WorldContacts, of: SharedTile
 ) -> Array:
     """Weight of each contact of a tile within its merged contact, [B].
 
     Args:
         slots: of the tile.
-        met: contacts of all slots.
+        contacts: contacts of all slots.
         own: contacts of the tile.
         of: contacts merged with those of the tile.
     """
@@ -123,8 +123,8 @@ def find_load_shares(
     height = slots.radius_b - own.overlap
 
     def limit_weight(least: Array, slot: Array, there: Array) -> Array:
-        bend = vector.sub(vector.take_entries(met.normal, slot), own.normal)
-        above = jnp.maximum(met.overlap[slot] - own.overlap, 0)
+        bend = vector.sub(vector.take_entries(contacts.normal, slot), own.normal)
+        above = jnp.maximum(contacts.overlap[slot] - own.overlap, 0)
         weight = 1 - above / jnp.maximum(0.5 * height * vector.dot(bend, bend), tiny)
         return jnp.where(there, jnp.minimum(least, jnp.clip(weight, 0, 1)), least)
 
@@ -133,7 +133,7 @@ def find_load_shares(
 
 def merge_contacts(
     slots: PairConstants,
-    met: WorldContacts,
+    contacts: WorldContacts,
     weight: Array,
     before: ContactHistory,
     own: WorldContacts,
@@ -158,9 +158,9 @@ def merge_contacts(
     """
     own_weight = weight[of.itself]
     is_shared = (of.number > 0) & (own_weight > 0)
-    (most, pick), (_, former) = _deepest_shared_contacts(met, weight, before, own, of, reach)
+    (most, pick), (_, former) = _deepest_shared_contacts(contacts, weight, before, own, of, reach)
     most = jnp.where(is_shared & (most > 0), most, 1)
-    sums = _weighted_sums(met, weight, own, of, reach, most)
+    sums = _weighted_sums(contacts, weight, own, of, reach, most)
     scale = 1 / jnp.where(is_shared, sums.weight, 1)
     mean = vector.scale(scale, sums.normal)
     normal = vector.where(is_shared, vector.normalize(mean), own.normal)
@@ -175,7 +175,7 @@ def merge_contacts(
         mean_power = jnp.where(is_shared, sums.overlap / jnp.where(is_shared, sums.patch, 1), 1)
         overlap = most * mean_power ** (1 / MEAN_POWER) - (0 if reach is None else reach)
     overlap = jnp.where(of.number > 0, jnp.where(is_shared, overlap, -1), own.overlap)
-    deepest = select_deepest_points(is_shared, pick, met.deepest, own.deepest)
+    deepest = select_deepest_points(is_shared, pick, contacts.deepest, own.deepest)
     moments = None
     if own.spread is not None and sums.spread is not None:
         moments = partial(
@@ -200,7 +200,7 @@ def merge_contacts(
 
 
 def _deepest_shared_contacts(
-    met: WorldContacts,
+    contacts: WorldContacts,
     weight: Array,
     before: ContactHistory,
     own: WorldContacts,
@@ -215,10 +215,13 @@ def _deepest_shared_contacts(
     def update_both(
         so_far: tuple[DeepestSoFar, DeepestSoFar], slot: Array, there: Array
     ) -> tuple[DeepestSoFar, DeepestSoFar]:
-        nearness = normal_similarity(vector.take_entries(met.normal, slot), own.normal)
+        nearness = normal_similarity(vector.take_entries(contacts.normal, slot), own.normal)
         touches = there & (nearness * weight[slot] > 0)
         most = update_deepest(
-            so_far[0], nearness * add_interaction_range(met.overlap[slot], reach), slot, touches
+            so_far[0],
+            nearness * add_interaction_range(contacts.overlap[slot], reach),
+            slot,
+            touches,
         )
         return most, update_deepest(so_far[1], nearness * before.overlap[slot], slot, there)
 
@@ -226,7 +229,7 @@ def _deepest_shared_contacts(
 
 
 def _weighted_sums(
-    met: WorldContacts,
+    contacts: WorldContacts,
     weight: Array,
     own: WorldContacts,
     of: SharedTile,
@@ -238,8 +241,10 @@ def _weighted_sums(
     """
     spread = (
         None
-        if met.spread is None
-        else patch_moments.add_moments(met.spread, patch_moments.outer_product(met.at_b, met.at_b))
+        if contacts.spread is None
+        else patch_moments.add_moments(
+            contacts.spread, patch_moments.outer_product(contacts.at_b, contacts.at_b)
+        )
     )
     zero = jnp.zeros_like(own.overlap)
     start = _Sums(
@@ -247,13 +252,13 @@ def _weighted_sums(
     )
 
     def add_contact(sums: _Sums, slot: Array, there: Array) -> _Sums:
-        normal = vector.take_entries(met.normal, slot)
+        normal = vector.take_entries(contacts.normal, slot)
         nearness = normal_similarity(normal, own.normal)
         part = part_of_patch = jnp.where(there, nearness * weight[slot], 0)
         if own.deepest is None:
-            overlap = part * met.overlap[slot]
+            overlap = part * contacts.overlap[slot]
         else:
-            ratio = nearness * _relative_overlap(most, met.overlap[slot], reach)
+            ratio = nearness * _relative_overlap(most, contacts.overlap[slot], reach)
             part = part * ratio ** (MEAN_POWER - 1)
             overlap = part * ratio
         return _Sums(
@@ -261,7 +266,7 @@ def _weighted_sums(
             sums.weight + part,
             sums.overlap + overlap,
             vector.add_scaled(sums.normal, part, normal),
-            vector.add_scaled(sums.point, part, vector.take_entries(met.at_b, slot)),
+            vector.add_scaled(sums.point, part, vector.take_entries(contacts.at_b, slot)),
             jax.tree.map(lambda total, rows: total + part * rows[slot], sums.spread, spread),
         )
 

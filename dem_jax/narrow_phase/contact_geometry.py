@@ -55,7 +55,7 @@ def compute_contact_geometry(
     a: BodyState,
     b: BodyState,
     offset: Vector,
-    known: CachedGeometry = NO_CACHE,
+    cached: CachedGeometry = NO_CACHE,
 ) -> tuple[
     Array, Callable[[ContactHistory], collision_primitives.ContactGeometry], SupportFaces | None
 ]:
@@ -112,7 +112,7 @@ def compute_contact_geometry(
         return depth, zonotope_geometry, None
     rows = hull_rows(system, slots)
     separation, features, faces, planes, facing = _find_polytope_axes(
-        table, slots, rows, rel, reach, known
+        table, slots, rows, rel, reach, cached
     )
 
     def polytope_geometry(memory: ContactHistory) -> collision_primitives.ContactGeometry:
@@ -210,7 +210,7 @@ def _find_polytope_axes(
     rows: TableRows,
     rel: collision_primitives.RelativePose,
     reach: Array | None,
-    known: CachedGeometry,
+    cached: CachedGeometry,
 ) -> tuple[
     cached_features.SeparatingAxis,
     ActiveFeatures,
@@ -221,23 +221,23 @@ def _find_polytope_axes(
     """Separating axes, active features, support faces and clipping planes of polytopes, and
     ``SupportFaces`` for the next step.
     """
-    if known.active_features is None:
+    if cached.active_features is None:
         axes, features, faces = _search_all_features(table, rows, rel, reach)
         return axes, features, faces, lambda: cached_features.all_clip_planes(table, rows), None
-    assert known.support_faces is not None and known.clip_planes is not None
+    assert cached.support_faces is not None and cached.clip_planes is not None
     axes, clipping = (
-        cached_features.find_separating_axis(known.active_features, rel),
-        known.clip_planes,
+        cached_features.find_separating_axis(cached.active_features, rel),
+        cached.clip_planes,
     )
     touching = slots.live & (add_interaction_range(axes.depth, reach) > 0)
     facing = cached_features.update_support_faces(
-        table, known.support_faces, rows, axes.normal, touching, rel
+        table, cached.support_faces, rows, axes.normal, touching, rel
     )
-    is_wide = jnp.any(known.active_features.needs_all_planes & touching)
+    is_wide = jnp.any(cached.active_features.needs_all_planes & touching)
     planes = lambda: cached_features.ClipPlanes(clipping(), is_wide)
     return (
         axes,
-        known.active_features,
+        cached.active_features,
         cached_features.select_support_faces(facing, axes.normal, rel),
         planes,
         facing,

@@ -98,23 +98,23 @@ def find_active_features(
     without one.
     """
     f, sides, (row_a, row_b) = features, _make_sides(rows, rel), rows
-    met = _compute_support_data(f, sides)
-    of_a, of_b = _split_sides(jnp.min(met.overlap, axis=0))
-    chosen = _select_faces_and_corners(f, sides, met, jnp.minimum(of_a, of_b))
-    edges = _select_edges(f, sides, rows, rel, _extent_corners(f, sides, met, chosen))
+    support = _compute_support_data(f, sides)
+    of_a, of_b = _split_sides(jnp.min(support.overlap, axis=0))
+    chosen = _select_faces_and_corners(f, sides, support, jnp.minimum(of_a, of_b))
+    edges = _select_edges(f, sides, rows, rel, _extent_corners(f, sides, support, chosen))
     depth = jnp.minimum(jnp.minimum(of_a, of_b), jnp.min(edges.overlap, axis=0))
     swing = 1 + (vector.norm(rel.offset) + radius[0]) / radius[1]  # displacement factor of a's
     # points when b rotates about its centre
     apart = jnp.minimum(
         jnp.min(edges.distance, axis=0),
-        jnp.minimum(*_split_sides(_face_corner_distance(f, sides, met))),
+        jnp.minimum(*_split_sides(_face_corner_distance(f, sides, support))),
     )
     gap = jnp.where(depth > 0, depth, apart)  # for separated bodies an upper bound of their
     # distance
     pairs_of_edges, margin = _select_edge_pairs(edges, depth, gap, radius[1], swing)
     margin = jnp.minimum(margin, _face_validity_radius(chosen, edges, depth, radius, swing))
 
-    clipping, free = _clip_planes_along_normal(f, sides, met, rel)
+    clipping, free = _clip_planes_along_normal(f, sides, support, rel)
     far = 0 if reach is None else reach
     free = free - far
     wide = free < WIDE_CLIP_FRACTION * radius[1]
@@ -122,7 +122,7 @@ def find_active_features(
     if reach is not None:  # for bodies that are near but separated, only while a kept axis gives
         # the distance
         along_one = _separation_validity_radius(
-            f, sides, met, chosen, jnp.where(depth > 0, 0, apart), swing
+            f, sides, support, chosen, jnp.where(depth > 0, 0, apart), swing
         )
         margin = jnp.minimum(margin, jnp.maximum(along_one, depth))
     margin = jnp.maximum(margin, jnp.maximum(-of_a - far, (-of_b - far) / swing))  # up to here the
@@ -161,19 +161,21 @@ def _compute_support_data(f: PolytopeFeatures, sides: _Sides) -> _SupportData:
 
 
 def _select_faces_and_corners(
-    f: PolytopeFeatures, sides: _Sides, met: _SupportData, least: Array
+    f: PolytopeFeatures, sides: _Sides, support: _SupportData, least: Array
 ) -> _SelectedFeatures:
     """The faces of least overlap, and the other body's corners that are lowest along them. least:
     (m), least overlap over all faces of both, [P].
     """
-    faces, beyond = k_smallest(met.overlap, FACE_SLOTS)
+    faces, beyond = k_smallest(support.overlap, FACE_SLOTS)
     listed = f.planes[:, faces, sides.row[None]]
     # [Kf, V, 2 P]
     heights = fusion_barrier(
-        dot(expand_dims(unstack_vector(listed), 1), expand_dims(met.other_corners, 0))
+        dot(expand_dims(unstack_vector(listed), 1), expand_dims(support.other_corners, 0))
     )
     excess = heights - jnp.min(heights, axis=1, keepdims=True)
-    nearly = take_rows(met.overlap, faces) - jnp.concatenate([least] * 2)[None]  # excess overlap of
+    nearly = (
+        take_rows(support.overlap, faces) - jnp.concatenate([least] * 2)[None]
+    )  # excess overlap of
     # faces, whose corners matter later
     excess = jnp.min(jnp.maximum(excess, nearly[:, None]), axis=0)
     excess = mask_padding(f.counts[1], _swap_sides(sides.row), excess)
@@ -184,7 +186,7 @@ def _select_faces_and_corners(
 
 
 def _extent_corners(
-    f: PolytopeFeatures, sides: _Sides, met: _SupportData, chosen: _SelectedFeatures
+    f: PolytopeFeatures, sides: _Sides, support: _SupportData, chosen: _SelectedFeatures
 ) -> Vector:
     """Corners of the other body that bound its extent: those nearest to the contact, and some all
     around it, for edges whose arcs point elsewhere, [K, 2 P] x 3 (m) in the own frame.
@@ -192,7 +194,7 @@ def _extent_corners(
     around = _transform_other_corners(sides, unstack_vector(f.extreme_vertices[..., sides.row]))
     x, y, z = (
         jnp.concatenate([take_rows(c, chosen.corners), d])
-        for c, d in zip(met.other_corners, around, strict=True)
+        for c, d in zip(support.other_corners, around, strict=True)
     )
     return fusion_barrier(x, y, z)
 
@@ -275,7 +277,7 @@ def _displacement_to_depth(overlap: Array, depth: Array, rate: Array | int) -> A
 def _separation_validity_radius(
     f: PolytopeFeatures,
     sides: _Sides,
-    met: _SupportData,
+    support: _SupportData,
     chosen: _SelectedFeatures,
     apart: Array,
     swing: Array,
@@ -286,18 +288,18 @@ def _separation_validity_radius(
     Their nearest features are then two edges, or a corner and the face below it: any other corner
     is further than ``apart``, or above its nearest face.
     """
-    least = jnp.min(met.overlap, axis=0)
-    face = first_true(met.overlap == least[None])[None]
-    corner = vector.map_components(lambda c: take_rows(c, chosen.corners), met.other_corners)
+    least = jnp.min(support.overlap, axis=0)
+    face = first_true(support.overlap == least[None])[None]
+    corner = vector.map_components(lambda c: take_rows(c, chosen.corners), support.other_corners)
     # [F, Kv, 2 P]
     over = fusion_barrier(
-        dot(expand_dims(unstack_vector(met.planes), 1), expand_dims(corner, 0))
-        - met.planes[3][:, None]
+        dot(expand_dims(unstack_vector(support.planes), 1), expand_dims(corner, 0))
+        - support.planes[3][:, None]
     )
-    nx, ny, nz, offset = (take_rows(row, face) for row in met.planes)
+    nx, ny, nz, offset = (take_rows(row, face) for row in support.planes)
     height = fusion_barrier(dot((nx, ny, nz), corner) - offset)
     # of the foot of each corner, below each plane
-    inside = dot(unstack_vector(met.planes), (nx, ny, nz))[:, None] * height[None] - over
+    inside = dot(unstack_vector(support.planes), (nx, ny, nz))[:, None] * height[None] - over
     number = jnp.arange(over.shape[0], dtype=jnp.int32)[:, None]
     others = (number < f.counts[0, sides.row][None]) & (number != face)
     inside = jnp.min(jnp.where(others[:, None], inside, jnp.inf), axis=0)
@@ -313,24 +315,26 @@ def _separation_validity_radius(
 
 
 def _clip_planes_along_normal(
-    f: PolytopeFeatures, sides: _Sides, met: _SupportData, rel: RelativePose
+    f: PolytopeFeatures, sides: _Sides, support: _SupportData, rel: RelativePose
 ) -> tuple[Array, Array]:
     """``_select_clip_planes`` along the normal of the face of least overlap; the free displacement
     of both.
     """
-    least = jnp.min(met.overlap, axis=0)
+    least = jnp.min(support.overlap, axis=0)
     of_a, of_b = _split_sides(least)
     nearest = vector.map_components(
-        lambda c: take_rows(c, first_true(met.overlap == least[None])[None])[0],
-        unstack_vector(met.planes),
+        lambda c: take_rows(c, first_true(support.overlap == least[None])[None])[0],
+        unstack_vector(support.planes),
     )
     (ax, bx), (ay, by), (az, bz) = (_split_sides(c) for c in nearest)
     normal = vector.where(
         of_a <= of_b, (ax, ay, az), vector.scale(-1, vector.rotate(rel.rotation, (bx, by, bz)))
     )
     along = _flatten_sides(outward_normals(normal, rel))
-    height = fusion_barrier(dot(expand_dims(along, 0), met.corners))
-    base = jnp.min(dot(expand_dims(along, 0), met.other_corners), axis=0)  # lowest height of the
+    height = fusion_barrier(dot(expand_dims(along, 0), support.corners))
+    base = jnp.min(
+        dot(expand_dims(along, 0), support.other_corners), axis=0
+    )  # lowest height of the
     # other body
     clipping, free = _select_clip_planes(f, sides, height, base)
     return clipping, jnp.minimum(*_split_sides(free))
@@ -483,18 +487,18 @@ def _edge_overlap_bound(f: PolytopeFeatures, sides: _Sides, seen: Vector) -> Arr
     return fusion_barrier(jnp.max(jnp.minimum(*both), axis=1))
 
 
-def _face_corner_distance(f: PolytopeFeatures, sides: _Sides, met: _SupportData) -> Array:
+def _face_corner_distance(f: PolytopeFeatures, sides: _Sides, support: _SupportData) -> Array:
     """Distance of the other body's nearest vertex from the face of least overlap, [2 P] (m);
     infinite for a vertex beside it.
     """
-    planes = met.planes
-    face = first_true(met.overlap == jnp.min(met.overlap, axis=0)[None])[None]
+    planes = support.planes
+    face = first_true(support.overlap == jnp.min(support.overlap, axis=0)[None])[None]
     normal = vector.map_components(lambda c: take_rows(c, face), unstack_vector(planes))
-    height = dot(normal, met.other_corners)
-    corner = first_true(height == take_rows(met.lowest, face))[None]
-    over = take_rows(met.overlap, face)
+    height = dot(normal, support.other_corners)
+    corner = first_true(height == take_rows(support.lowest, face))[None]
+    over = take_rows(support.overlap, face)
     foot = vector.add_scaled(
-        vector.map_components(lambda c: take_rows(c, corner), met.other_corners), over, normal
+        vector.map_components(lambda c: take_rows(c, corner), support.other_corners), over, normal
     )
     above = jnp.max(
         mask_padding(

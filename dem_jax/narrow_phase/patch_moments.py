@@ -89,11 +89,11 @@ def shift_origin(of: SecondMoments, weight: Array, first: Vector, offset: Vector
     )
 
 
-def rotate_moments(turn: Matrix, of: SecondMoments) -> SecondMoments:
+def rotate_moments(rotation: Matrix, of: SecondMoments) -> SecondMoments:
     """Rotated moments R T R^T."""
     rows = (of.xx, of.xy, of.zx), (of.xy, of.yy, of.yz), (of.zx, of.yz, of.zz)
-    half = vector.matmul(turn, rows)
-    x, y, z = vector.matmul(half, vector.transpose(turn))
+    half = vector.matmul(rotation, rows)
+    x, y, z = vector.matmul(half, vector.transpose(rotation))
     return SecondMoments(x[0], y[1], z[2], y[2], z[0], x[1])
 
 
