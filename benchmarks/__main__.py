@@ -20,6 +20,7 @@ BENCHMARKS += (
     "product_model",
     "calibration",
     "uncertainty",
+    "draft",
     "weighing",
     "app",
 )

@@ -61,7 +61,10 @@ from dem_jax.types import Materials, Pieces, as_array
 
 LARGEST_GAIN = 0.01  # largest relative gain of energy of an impact at a stable step
 NEARLY_ELASTIC = 0.9  # restitution up to which an impact loses more energy than a step can add
-AUTOMATIC_SHARE = 0.3  # of the linear limit: no automatic step is longer
+AUTOMATIC_SHARE = (
+    0.3  # of the linear limit: no step is longer without run.time_step and run.accuracy
+)
+DRAFT_FACTOR = 2.0  # of the default step, with run.accuracy = "draft"
 RESOLVED_SHARE = 0.5  # of the linear limit, up to which laws apply their kink corrections; beyond,
 # these would excite oscillations
 
@@ -153,12 +156,14 @@ def choose_step(
     swings = np.sqrt(1 + 0.25 * added * linear**2)
     linear = linear / swings
     stable = min(linear, min(float(np.min(_stable_step(law, c))) for c in contacts) / swings)
-    critical, limit = (
-        _accurate_step(scene, law, contacts, linear)
-        if scene.run.accuracy
-        else _default_step(law, contacts)
-    )
-    most = stable if scene.run.accuracy else min(AUTOMATIC_SHARE * linear, stable)
+    accuracy = scene.run.accuracy
+    if accuracy is None:
+        critical, limit = _default_step(law, contacts)
+    elif accuracy.draft:
+        critical, limit = _draft_step(law, contacts, linear)
+    else:
+        critical, limit = _accurate_step(scene, law, contacts, linear)
+    most = min(AUTOMATIC_SHARE * linear, stable) if accuracy is None else stable
     if scene.run.time_step == "auto" and critical > most:
         critical, limit = most, f"{most / linear:.2g} of the linear stability limit"
     wanted = critical if scene.run.time_step == "auto" else scene.run.time_step
@@ -260,6 +265,35 @@ def _default_step(law: ContactLaw, contacts: list[PossibleContact]) -> tuple[flo
     return min(steps, key=lambda pair: pair[0])
 
 
+def _draft_step(
+    law: ContactLaw, contacts: list[PossibleContact], linear: float
+) -> tuple[float, str]:
+    """The critical step (s) of run.accuracy = "draft", and a description of the limit with the
+    error of an impact. linear: limit (s).
+    """
+    step, limit = _default_step(law, contacts)
+    step *= DRAFT_FACTOR
+    if not isinstance(law, WaltonBraun):
+        return step, f"run.accuracy = draft, {DRAFT_FACTOR:g} times that of {limit}"
+    worst = {"restitution": 0.0, "peak_force": 0.0}
+    for c in contacts:
+        quarter = float(np.min(quarter_period(c.mass, c.pair.stiffness)))
+        number = float(np.sqrt(c.normal_mass_ratio)) * quarter / step
+        corrected = step <= RESOLVED_SHARE * linear
+        found = _find_bound(c).error_bounds(number, float(np.min(c.pair.restitution)), corrected)
+        worst = {key: max(value, found[key]) for key, value in worst.items()}
+    errors = ", ".join(f"{key} {100 * value:.2g} %" for key, value in worst.items())
+    return step, (
+        f"run.accuracy = draft, {DRAFT_FACTOR:g} times that of {limit} (one impact errs by at most: {errors})"
+    )
+
+
+def _find_bound(c: PossibleContact) -> walton_braun_accuracy.ErrorBound:
+    """The measured errors of a kind of contact."""
+    is_central = c.normal_mass_ratio == 1
+    return walton_braun_accuracy.SPHERE if is_central else walton_braun_accuracy.POLYTOPE
+
+
 def _accurate_step(
     scene: Scene, law: ContactLaw, contacts: list[PossibleContact], stable: float
 ) -> tuple[float, str]:
@@ -271,14 +305,10 @@ def _accurate_step(
             f"run.accuracy: known of the law of Walton and Braun only, not of {type(law).__name__}; give run.time_step"
         )
     assert scene.run.accuracy is not None
-    asked = scene.run.accuracy.model_dump(exclude_none=True)
+    asked = scene.run.accuracy.model_dump(exclude_none=True, exclude={"draft"})
     found = []
     for c in contacts:
-        bound = (
-            walton_braun_accuracy.SPHERE
-            if c.normal_mass_ratio == 1
-            else walton_braun_accuracy.POLYTOPE
-        )
+        bound = _find_bound(c)
         for key, value in asked.items():
             finest, finer = (
                 bound.finest[precision][key] for precision in (scene.run.precision, "f64")

@@ -116,6 +116,10 @@ class Study(Section):
     )
     model: ProductModelSection | None = None
     reference: Annotated[tuple[ReferenceValue, ...], BeforeValidator(as_tuple)] = ()
+    draft: bool = Field(
+        False,
+        description="twice the default step, unless the study or its scene says how long it is; unset with --quick: true",
+    )
     quick: dict[str, Any] = Field({}, description="what is otherwise with --quick")
     folder: str = Field(".", exclude=True)
 
@@ -152,6 +156,14 @@ class Study(Section):
         changes = {"run.frame_interval": 0.0} | self.set
         scene = load_scene(beside if beside.is_file() else self.scene, changes)
         check_varied_keys(scene, self.parameter, f"study {self.name}: {scene.name}")
+        varies = any(key.startswith(("run.time_step", "run.accuracy")) for key in self.parameter)
+        if (
+            self.draft
+            and not varies
+            and scene.run.time_step == "auto"
+            and scene.run.accuracy is None
+        ):
+            scene = scene.replace({"run.accuracy": "draft"})
         return scene.replace(fix_piece_counts(scene)) if self.uncertain else scene
 
     def member_seed(self, member: int) -> int:
@@ -206,7 +218,7 @@ def validate_study(tree: dict[str, Any], source: str | Path, quick: bool = False
     try:
         if quick:
             Study.model_validate(tree | {"folder": folder})
-            tree = _merge_tables(tree, tree.get("quick", {}))
+            tree = _merge_tables({"draft": True} | tree, tree.get("quick", {}))
         return Study.model_validate(tree | {"folder": folder})
     except ValidationError as error:
         raise SceneError(f"study {source}: {format_error(error, tree, Study)}") from error

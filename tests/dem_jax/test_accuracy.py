@@ -13,6 +13,7 @@ from dem_jax import assembly, load_scene, scene, simulate, validation
 from dem_jax.contact_laws import walton_braun_accuracy
 from dem_jax.errors import SceneError
 from dem_jax.runner.job_setup import prepare_job
+from dem_jax.study.config import validate_study
 from dem_jax.visualization import summary
 
 KINDS = {"sphere": accuracy.SPHERE, "marshmallow": accuracy.PIECE}
@@ -111,6 +112,53 @@ def test_the_bounds_and_the_steps_are_each_others_inverse():
                     assert all(reached[k] <= asked[k] * (1 + 1e-12) for k in asked)
             number, key = bound.required_steps({"peak_force": 0.2}, restitution, False)
             assert key is None and number == bound.min_steps(restitution)
+
+
+@pytest.mark.parametrize("restitution", [0.05, 0.1, 0.2, 0.3, 0.5, 0.7])
+def test_less_than_the_default_gives_never_costs_more(restitution):
+    """The default's own error, by the table, takes the default's step."""
+    default = step_of("marshmallow", None, restitution)
+    quarter = accuracy.quarter_period("chamfered-cuboid", 0.01)
+    frequency = accuracy.spring("chamfered-cuboid", 0.01).frequency
+    eccentric = step_of("marshmallow", None).linear_limit * frequency / (2 * 0.1)
+    number = eccentric * quarter / default.critical
+    bound = walton_braun_accuracy.POLYTOPE.error_bounds(number, restitution, True)
+    for key, error in bound.items():
+        asked = step_of("marshmallow", {key: min(error * (1 + 1e-6), 0.2)}, restitution)
+        assert asked.critical >= default.critical * (1 - 1e-6), key
+
+
+def test_a_draft_takes_twice_the_default_step_and_says_what_that_does():
+    for name in KINDS:
+        draft = step_of(name, "draft")
+        assert draft.critical == pytest.approx(2 * step_of(name, None).critical, rel=1e-12)
+        assert draft.dt <= draft.stable
+        words = str(draft)
+        assert "from run.accuracy = draft, 2 times that of " in words
+        assert "one impact errs by at most: restitution " in words
+    assert load_scene("plate-drop", {"run.accuracy": "draft"}).run.accuracy.draft
+    with pytest.raises(SceneError, match="draft = true: allowed without restitution and peak"):
+        load_scene("plate-drop", {"run.accuracy": {"draft": True, "peak_force": 0.01}})
+    other = {"contact.law": "hertz-mindlin"}  # up to the stable step
+    default, draft = (
+        assembly.assemble_system(load_scene("plate-drop", other | more)).step
+        for more in ({}, {"run.accuracy": "draft"})
+    )
+    assert draft.critical == pytest.approx(min(2 * default.critical, draft.stable), rel=1e-12)
+    assert draft.critical > 1.2 * default.critical
+
+
+def test_a_quick_study_takes_the_draft_unless_it_says_how_long_the_step_is():
+    tree = {"name": "a", "title": "a", "scene": "plate-drop"}
+    assert validate_study(tree, "a", quick=True).base_scene().run.accuracy.draft
+    assert validate_study(tree, "a").base_scene().run.accuracy is None
+    own = {"run.time_step": 2e-6}, {"run.accuracy": {"peak_force": 0.01}}
+    for settings in own:
+        run = validate_study(tree | {"set": settings}, "a", quick=True).base_scene().run
+        assert run.accuracy is None or not run.accuracy.draft
+    varied = {"parameter": {"run.time_step": {"values": [1e-6, 2e-6]}}}
+    assert validate_study(tree | varied, "a", quick=True).base_scene().run.accuracy is None
+    assert not validate_study(tree | {"draft": False}, "a", quick=True).draft
 
 
 def test_the_limit_is_named():

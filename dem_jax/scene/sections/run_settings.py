@@ -1,13 +1,18 @@
 """How a scene is run."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from dem_jax.scene.sections.base import NotNegative, Parameter, Positive, Section, Vector
 
 Error = Annotated[float, Field(gt=0, le=0.2)]
 ROUNDING = 1e-9  # relative: times that differ by less are the same
+
+
+def read_draft(value: Any) -> Any:
+    """The table that "draft" stands for; anything else as it is."""
+    return {"draft": True} if value == "draft" else value
 
 
 class Accuracy(Section):
@@ -17,9 +22,14 @@ class Accuracy(Section):
 
     restitution: Error | None = Field(None, description="of the speed of rebound")
     peak_force: Error | None = None
+    draft: bool = Field(False, description='twice the default step; run.accuracy = "draft"')
 
     @model_validator(mode="after")
     def _says_something(self) -> "Accuracy":
+        if self.draft and (self.restitution is not None or self.peak_force is not None):
+            raise ValueError("draft = true: allowed without restitution and peak_force")
+        if self.draft:
+            return self
         if self.restitution is None and self.peak_force is None:
             raise ValueError(
                 "missing: restitution, peak_force; at least one must be given: a number > 0 and <= 0.2"
@@ -46,9 +56,9 @@ class RunSettings(Section):
         False,
         description="let a step be longer than the stable one, so that impacts gain more than 1 % of their energy",
     )
-    accuracy: Accuracy | None = Field(
+    accuracy: Annotated[Accuracy | None, BeforeValidator(read_draft)] = Field(
         None,
-        description="instead of time_step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one",
+        description='instead of time_step: { restitution = 0.01, peak_force = 0.001 }, relative errors, or "draft", twice the default step',
     )
     precision: Literal["f32", "f64"] = "f32"
     gravity: Parameter[Vector] = Field((0.0, 0.0, -9.81), description="m/s2")
