@@ -299,18 +299,28 @@ def read_number(scene: Scene, key: str) -> float | None:
 
 def find_field_errors(design: Design, folder: Path) -> dict[str, str]:
     """Key -> what is wrong with its value; the key "" where no field is to blame."""
+    return _check_fields(design, folder)[1]
+
+
+def drop_wrong_changes(design: Design, folder: Path) -> Design:
+    """The design without the changes that ``find_field_errors`` names."""
+    return _check_fields(design, folder)[0]
+
+
+def _check_fields(design: Design, folder: Path) -> tuple[Design, dict[str, str]]:
+    """The design without wrong changes, and what is wrong with each."""
     errors: dict[str, str] = {}
     tried = design
     while True:
         try:
             tried.read_scene(folder)
-            return errors
+            return tried, errors
         except SceneError as error:
             text = str(error)
             key = next((name for name in tried.changes if name in text), "")
             errors[key] = explain_error(text, key)
             if not key:
-                return errors
+                return tried, errors
             tried = tried.with_change(key, None)
 
 

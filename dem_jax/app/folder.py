@@ -51,6 +51,10 @@ class Folder:
             raise RecordError(f"{name!r} leads out of the folder")
         return path
 
+    def shorten_paths(self, lines: list[str]) -> list[str]:
+        """Lines in which files of the folder are named from there."""
+        return [line.replace(f"{self.root}{os.sep}", "") for line in lines]
+
     def list_results(self) -> list[str]:
         """Names of the files of results, the newest first."""
         return self._list("", RESULTS)

@@ -15,9 +15,13 @@ from dem_jax.errors import RecordError
 
 
 class Helper:
-    """One process that computes facts; it is started anew if it ends."""
+    """One process that computes facts; it is started anew if it ends.
 
-    def __init__(self) -> None:
+    root: folder whose files are named without it.
+    """
+
+    def __init__(self, root: str = "") -> None:
+        self._root = root
         self._pool: ProcessPoolExecutor | None = None
 
     async def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -32,7 +36,7 @@ class Helper:
             self._pool = None
             raise RecordError("the process that reads files has ended; try again") from error
         if reason:
-            raise RecordError(reason)
+            raise RecordError(reason.replace(f"{self._root}/", "") if self._root else reason)
         return result
 
     def prepare(self) -> None:

@@ -25,7 +25,8 @@ TIME_TO_END = 10.0  # s, of a process that was told to end
 class Job:
     """A command, and how far it is.
 
-    argv: program and arguments. state: "waiting", "running", "done", "failed" or "cancelled".
+    argv: program and arguments. state: "waiting", "running", "ending" (it was cancelled), "done", "failed" or
+    "cancelled".
     share: 0 to 1, None: not known. time_left: in words. lines: of standard output. errors: of
     standard error. drop: what it computes, if it is a drop.
     """
@@ -60,8 +61,12 @@ class Job:
             return words + (f", {self.time_left} left" if self.time_left else "")
         if self.state == "waiting":
             return "waits for the command before it"
+        if self.state == "ending":
+            return "is being ended, and saves what it has"
         if self.state == "done":
             return f"done in {self.elapsed:.1f} s"
+        if self.state == "cancelled" and not self.errors:
+            return "cancelled: it had computed nothing yet"
         last = self.errors[-1] if self.errors else "it gave no reason"
         return f"{self.state}: {last}"
 
@@ -102,7 +107,7 @@ class JobRunner:
         only.
         """
         self._expected = drop
-        if not self._is_closed and not any(job.state == "running" for job in self.jobs):
+        if not self._is_closed and not any(job.process is not None for job in self.jobs):
             self._refill()
 
     def _refill(self) -> None:
@@ -148,8 +153,7 @@ class JobRunner:
             PROGRAMS[job.argv[0]], job.argv[1:], job.lines.append, job.read_progress
         )
         job.elapsed, job.process = time.monotonic() - started, None
-        if job.state != "cancelled":
-            _judge_end(job, code)
+        _judge_end(job, code)
         if job.drop is not None and not self._is_closed:
             self._refill()
 
@@ -161,14 +165,13 @@ class JobRunner:
 
     def cancel(self, job: Job) -> None:
         """End a job; what it has computed stays in its file."""
-        if job.is_over:
-            return
-        job.state = "cancelled"
-        if job.process is None:
-            job.errors.append("it had not begun")
-        else:
+        if job.process is not None:
+            job.state = "ending"
             with suppress(ProcessLookupError):
                 job.process.terminate()
+        elif not job.is_over:
+            job.state = "cancelled"
+            job.errors.append("it had not begun")
 
     def end_spare(self) -> None:
         """End the process that waits."""
@@ -191,6 +194,9 @@ class JobRunner:
 
 def _judge_end(job: Job, code: int) -> None:
     """The state of a job after its process has ended with an exit code."""
+    if job.state == "ending":
+        job.state = "cancelled"
+        return
     job.state = "done" if code == 0 else "failed"
     if code < 0:
         job.errors.append(f"the process was ended by signal {-code} ({signal.Signals(-code).name})")

@@ -1,14 +1,16 @@
 """The server: routes of the pages, of views and of files, behind the guard."""
 
 import asyncio
+import json
 import logging
 import signal
 import socket
 import sys
+import zlib
 from typing import Any
 
 import uvicorn
-from fastapi import FastAPI, Response
+from fastapi import FastAPI, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse, PlainTextResponse
 from nicegui import app, ui
 
@@ -17,8 +19,6 @@ from dem_jax.app.access import AccessGuard
 from dem_jax.app.pages.frame import show_frame
 from dem_jax.app.session import STATIC, Session, Workspace
 from dem_jax.errors import RecordError
-
-PLAYER_HEADERS = {"cache-control": "private, max-age=86400"}
 
 
 def serve(workspace: Workspace, listening: socket.socket, token: str) -> None:
@@ -34,7 +34,7 @@ def serve(workspace: Workspace, listening: socket.socket, token: str) -> None:
     app.on_shutdown(workspace.close)
 
     async def show_root() -> None:
-        await ui.context.client.connected()
+        await ui.context.client.connected(timeout=60.0)
         stored: Any = app.storage.tab
         if "session" not in stored:
             stored["session"] = Session(workspace)
@@ -77,8 +77,12 @@ def add_routes(workspace: Workspace) -> None:
     ui.add_head_html(head, shared=True)
 
     @app.get("/player")
-    async def _player() -> Response:
-        return HTMLResponse(await workspace.write_player(), headers=PLAYER_HEADERS)
+    async def _player(request: Request) -> Response:
+        text = await workspace.write_player()
+        headers = {"etag": f'W/"{zlib.crc32(text.encode()):x}"', "cache-control": "no-cache"}
+        if request.headers.get("if-none-match") == headers["etag"]:
+            return Response(status_code=304, headers=headers)
+        return HTMLResponse(text, headers=headers)
 
     @app.get("/preview/{key}")
     def _preview(key: str) -> Response:
@@ -93,7 +97,7 @@ def add_routes(workspace: Workspace) -> None:
             path, grows = workspace.folder.find_path(name), workspace.runner.is_writing(name)
             text = await workspace.helper.ask(facts.write_view, str(path), member, grows)
         except RecordError as error:
-            return PlainTextResponse(str(error), 404)
+            text = json.dumps({"more": False, "words": str(error)})
         return Response(text, 200 if text else 204, media_type="application/json")
 
     @app.get("/files/{name}")

@@ -27,7 +27,7 @@ class Workspace:
 
     def __init__(self, folder: Folder, runner: JobRunner) -> None:
         self.folder = folder
-        self.helper = Helper()
+        self.helper = Helper(str(folder.root))
         self.runner = runner
         self._expecting: asyncio.TimerHandle | None = None
         self._player = ""
@@ -78,7 +78,8 @@ class Workspace:
             if card.name == name:
                 return card
         path = str(self.folder.find_path(name)) if name.endswith(".toml") else name
-        return await self.helper.ask(facts.describe_own_product, path, name)
+        card = await self.helper.ask(facts.describe_own_product, path, name)
+        return card._replace(notes=self.folder.shorten_paths(card.notes))
 
     async def list_buckets(self) -> list[BucketCard]:
         """The buckets of the library."""

@@ -14,7 +14,9 @@ from dem_jax.app.design import (
     FIELDS,
     RELEASE_FIELDS,
     Design,
+    drop_wrong_changes,
     find_field_errors,
+    name_program,
     name_run_command,
     read_design,
     read_number,
@@ -24,6 +26,7 @@ from dem_jax.app.design import (
 )
 from dem_jax.app.drawing import PIXELS_PER_MM, draw_piece
 from dem_jax.app.pages.model import DOWNLOADS, make_commands
+from dem_jax.app.pages.product import find_weight_error
 from dem_jax.cli.main import build_parser
 from dem_jax.errors import SceneError
 from dem_jax.study.config import Study
@@ -45,6 +48,7 @@ MIXED = Design(products=(("hazelnut", 2.0), ("almond", 1.0)), bucket="5.4-litre"
             has_load_cell=True,
             changes={"drop.height": 0.3, "weigh_bucket.load_cell.mass": 0.8},
         ),
+        Design(bucket="", move=(0.0, 0.005, -0.01)),
         Design().with_product("frozen-pea:thawing").with_change("material.restitution", 0.4),
     ],
 )
@@ -68,6 +72,8 @@ def test_each_wrong_value_is_explained_at_its_field(tmp_path):
         "drop.height": "allowed: above 0 mm",
         "material.restitution": "allowed: above 0 and up to 1",
     }
+    left = drop_wrong_changes(design, tmp_path)
+    assert left.changes == {"portion.target_weight": 0.1} and left.read_scene(tmp_path)
     assert find_field_errors(Design(), tmp_path) == {}
     assert list(find_field_errors(Design(bucket="no-such"), tmp_path)) == [""]
 
@@ -83,6 +89,24 @@ def test_choosing_another_product_or_bucket_forgets_its_changes_only():
     design = Design().with_change("material.density", 500.0).with_change("drop.height", 0.2)
     assert design.with_product("almond").changes == {"drop.height": 0.2}
     assert design.with_bucket("0.9-litre").changes == {"material.density": 500.0}
+
+
+def test_designs_of_one_program_differ_in_numbers_only():
+    first = Design()
+    for other in (first.with_change("drop.height", 0.2), replace(first, seed=7)):
+        assert name_program(other) == name_program(first)
+    for other in (
+        replace(first, runs=16),
+        first.with_product("almond"),
+        first.with_change("portion.target_weight", 0.1),
+    ):
+        assert name_program(other) != name_program(first)
+
+
+def test_the_weight_of_an_own_part_is_that_of_something_that_is_weighed():
+    assert find_weight_error(6.0, 6e-6) is None
+    for weight in (None, 0.0, -1.0, 0.01, 1e9):
+        assert find_weight_error(weight, 6e-6) == "Allowed: 0.06 to 72 g, as of puffs and of lead"
 
 
 def test_commands_are_those_of_the_command_line():

@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+from http.client import HTTPConnection
+from urllib.parse import urlsplit
 
 import h5py
 import pytest
@@ -14,6 +16,7 @@ import pytest
 from dem_jax.app.design import Design, name_run_command
 from dem_jax.app.helper import Helper
 from dem_jax.app.jobs import Job, JobRunner
+from dem_jax.app.workers import Drop, Worker
 from dem_jax.errors import RecordError
 
 BAR = "settling:  34% |███▍      | 510/1500 ms [00:01 < 00:03, 12.3 µs/step]"
@@ -103,28 +106,135 @@ def test_the_loop_answers_while_a_job_runs(tmp_path):
     assert asyncio.run(run()) < 0.1
 
 
-def test_a_drop_by_clicks_has_the_bits_of_the_command_that_is_shown(tmp_path):
-    """The file that a job writes against the one of the same command in a process of its own."""
-    ball = "[[piece]]\nshape = 'sphere'\nradius = 0.01\nposition = [0, 0, 0.02]\n"
-    (tmp_path / "ball.toml").write_text(f"base = 'plate-drop'\n{ball}[run]\nduration = 0.1\n")
+BALL = """base = 'plate-drop'
+[[piece]]
+shape = 'sphere'
+radius = 0.01
+position = [0, 0, 0.02]
+[run]
+duration = 0.1
+"""
 
-    async def run(argv):
+
+def read_arrays(path):
+    """Name -> bytes of each array of a file of results."""
+    with h5py.File(path) as file:
+        found = {}
+        file.visititems(
+            lambda name, item: (
+                found.update({name: item[()].tobytes()}) if hasattr(item, "shape") else None
+            )
+        )
+        return found
+
+
+@pytest.mark.parametrize("runs", [1, 16])
+def test_a_prepared_drop_has_the_bits_of_the_command_that_is_shown(tmp_path, runs):
+    """The file of a job in a process that has compiled before, against the one of the same command
+    in a process of its own.
+    """
+    (tmp_path / "ball.toml").write_text(BALL)
+    drop, command = Drop(BALL, 0, runs, "ball"), name_run_command(Design(runs=runs), "ball")
+
+    async def run():
         runner = JobRunner(tmp_path)
         try:
-            return await runner.run(argv)
+            runner.expect(drop)
+            while not runner._spare.is_ready:
+                await asyncio.sleep(0.05)
+            process = runner._spare.process
+            job = runner.enter(command, drop)
+            task = asyncio.create_task(runner.follow(job))
+            await asyncio.sleep(0)
+            assert job.process is process, "the one that had prepared"
+            return await task
         finally:
             await runner.close()
 
-    argv = [*name_run_command(Design(), "ball")]
-    job = asyncio.run(run(argv))
+    job = asyncio.run(run())
     assert job.state == "done", job.message
-    shown = job.command.replace("dem-jax", f"{sys.executable} -m dem_jax").replace(
-        "ball.h5", "b.h5"
-    )
-    subprocess.run(shlex.split(shown), cwd=tmp_path, check=True, capture_output=True)
-    with h5py.File(tmp_path / "ball.h5") as one, h5py.File(tmp_path / "b.h5") as other:
-        names = []
-        one.visititems(lambda name, item: names.append(name) if hasattr(item, "shape") else None)
-        assert "mean_force/plate" in names
-        for name in names:
-            assert one[name][()].tobytes() == other[name][()].tobytes(), name
+    argv = shlex.split(job.command.replace("ball.h5", "b.h5"))
+    shown = [sys.executable, "-m", "dem_jax", *argv[1:]]
+    subprocess.run(shown, cwd=tmp_path, check=True, capture_output=True)
+    ours, theirs = read_arrays(tmp_path / "ball.h5"), read_arrays(tmp_path / "b.h5")
+    assert "mean_force/plate" in ours and ours == theirs
+
+
+def test_a_process_that_compiles_for_another_drop_does_not_let_one_wait(tmp_path):
+    """One that is ready may serve for other scenes, but not for many drops if it compiled for one:
+    the compiler has other flags then.
+    """
+    one = Drop(BALL, 0, 1, "ball")
+    worker = Worker(tmp_path)
+    try:
+        worker.prepare(one)
+        assert worker.suits(one._replace(seed=3)) and not worker.is_ready
+        assert not worker.suits(one._replace(program="cube"))
+        worker._answered = worker._asked
+        assert worker.suits(one._replace(program="cube"))
+        assert not worker.suits(one._replace(program="cube", runs=16))
+    finally:
+        worker.kill()
+    assert not worker.suits(one), "it has ended"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_the_server_answers_when_it_says_where_and_leaves_no_process(tmp_path, number):
+    command = [sys.executable, "-m", "dem_jax", "app", str(tmp_path), "--no-browser"]
+    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    with open(tmp_path / "said.txt", "w") as said:
+        server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True, env=own)
+    try:
+        address = [server.stdout.readline() for _ in range(2)][1].strip()
+        where = urlsplit(address)
+        asked = HTTPConnection(where.netloc, timeout=60)
+        asked.request("GET", f"/?{where.query}")
+        assert asked.getresponse().status == 303, "to the page without the token"
+        children = list_children(server.pid)
+        assert len(children) >= 2, "the helper, and the process of the next drop"
+    finally:
+        server.send_signal(number)
+        server.wait(30)
+    for _ in range(100):
+        left = [child for child in children if os.path.exists(f"/proc/{child}/exe")]
+        if not left:
+            break
+        time.sleep(0.1)
+    assert not left
+    if number == signal.SIGTERM:
+        assert (tmp_path / "said.txt").read_text() == ""
+
+
+def list_children(parent):
+    """Numbers of the processes that a process has started."""
+    found = []
+    for name in filter(str.isdecimal, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{name}/stat") as file:
+                of = int(file.read().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+        if of == parent:
+            found.append(name)
+    return found
+
+
+def test_a_cancelled_drop_says_where_its_results_are(tmp_path):
+    (tmp_path / "ball.toml").write_text(BALL.replace("0.1", "100.0"))
+
+    async def run():
+        runner = JobRunner(tmp_path)
+        try:
+            job = runner.enter(["dem-jax", "run", "ball.toml", "--out", "ball.h5", "--no-plot"])
+            task = asyncio.create_task(runner.follow(job))
+            while not job.share:  # samples are there
+                await asyncio.sleep(0.05)
+            runner.cancel(job)
+            assert job.state == "ending" and not job.is_over
+            return await task
+        finally:
+            await runner.close()
+
+    job = asyncio.run(run())
+    assert job.state == "cancelled" and "is in ball.h5" in job.message

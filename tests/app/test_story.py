@@ -6,9 +6,13 @@ import shutil
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import pytest
 import trimesh
+
+from dem_jax.io.run_files import load_run
+from dem_jax.scene import parse_scene
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -25,38 +29,53 @@ PAGES = ("Product", "Bucket and release", "Drop", "Compare", "Weigh and model")
 WIDTHS = (390, 1280)
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    """The app in an empty folder: (folder, address)."""
-    folder = tmp_path_factory.mktemp("app")
+@contextmanager
+def serve(folder):
+    """The address of an app in a folder."""
     command = [sys.executable, "-m", "dem_jax", "app", str(folder), "--no-browser"]
     own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=own)
-    lines = [process.stdout.readline() for _ in range(2)]
-    yield folder, lines[1].strip()
-    process.terminate()
     try:
+        yield [process.stdout.readline() for _ in range(2)][1].strip()
+        process.terminate()
         process.wait(20)
     finally:
         process.kill()
 
 
 @pytest.fixture(scope="module")
-def page(server):
-    """A tab of the app, with ``said``: errors of its console."""
+def server(tmp_path_factory):
+    """The app in an empty folder: (folder, address)."""
+    folder = tmp_path_factory.mktemp("app")
+    with serve(folder) as address:
+        yield folder, address
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A browser without a window."""
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=BROWSER, args=ARGUMENTS)
-        tab = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
-        tab.said = []
-        tab.on(
-            "console", lambda m: tab.said.append(m.text) if m.type in ("error", "warning") else None
-        )
-        tab.on("pageerror", lambda error: tab.said.append(str(error)))
-        tab.set_default_timeout(30_000)
-        tab.goto(server[1])
-        yield tab
-        browser.close()
+        found = started.chromium.launch(executable_path=BROWSER, args=ARGUMENTS)
+        yield found
+        found.close()
+
+
+def open_tab(browser, address):
+    """A tab of an app, with ``said``: errors of its console."""
+    tab = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
+    tab.said = []
+    tab.on("console", lambda m: tab.said.append(m.text) if m.type in ("error", "warning") else None)
+    tab.on("pageerror", lambda error: tab.said.append(str(error)))
+    tab.set_default_timeout(60_000)
+    tab.goto(address)
+    return tab
+
+
+@pytest.fixture(scope="module")
+def page(server, browser):
+    """A tab of the app."""
+    return open_tab(browser, server[1])
 
 
 def write_parts(folder):
@@ -80,6 +99,28 @@ def fill(page, label, value):
     box.press("Tab")
 
 
+def shown_instant(page):
+    """The number of the instant that the 3-D view shows."""
+    return int(page.frame_locator("iframe").locator("canvas").get_attribute("data-frame"))
+
+
+def drag_bucket(page):
+    """Drag the bucket to the side and up, and back by numbers."""
+    box = page.locator("iframe").bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.66 * box["height"]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 30, y - 20, steps=5)
+    page.mouse.up()
+    numbers = [page.get_by_label(f"Move along {axis} (mm)").first for axis in "xyz"]
+    page.wait_for_function("(box) => box.value > 1", arg=numbers[2].element_handle())
+    along_x, along_y, up = (float(number.input_value()) for number in numbers)
+    assert along_x == 0.0 and along_y > 1.0 and up > 1.0, "in the plane that faces the eye"
+    page.get_by_text(f"move = [0.0, {along_y / 1e3:g}, {up / 1e3:g}]").wait_for(state="attached")
+    for axis in "yz":
+        fill(page, f"Move along {axis} (mm)", 0)
+
+
 def test_the_story_by_clicks_alone(server, page, tmp_path):
     folder = server[0]
     write_parts(tmp_path)
@@ -95,6 +136,8 @@ def test_the_story_by_clicks_alone(server, page, tmp_path):
     page.locator("input[type=file]").set_input_files(tmp_path / "tray.stl")
     page.get_by_role("button", name="Use this bucket").click()
     page.get_by_text("Your own: tray").wait_for()
+    page.locator("iframe[data-shows*=moves]").wait_for()
+    drag_bucket(page)
     fill(page, "Drop height (mm)", -5)
     page.get_by_role("alert").get_by_text("allowed: above 0 mm").wait_for()
     fill(page, "Drop height (mm)", 250)
@@ -106,10 +149,9 @@ def test_the_story_by_clicks_alone(server, page, tmp_path):
     step(page, "Drop")
     page.get_by_role("button", name="Drop", exact=True).click()
     page.frame_locator("iframe").locator("canvas[data-frame]").wait_for(timeout=PATIENCE)
-    page.get_by_role("button", name="Jump to the peak").click()
-    frame = page.frame_locator("iframe").locator("canvas")
-    page.wait_for_timeout(300)
-    assert int(frame.get_attribute("data-frame")) > 0
+    page.wait_for_timeout(500)
+    assert shown_instant(page) > 0, "it falls without another click"
+    page.get_by_role("button", name="Jump to the peak").click(timeout=PATIENCE)
     shown = page.locator(".command pre").first.inner_text()
     assert shown.startswith("dem-jax run nugget-2.toml"), "the command of the next drop"
 
@@ -155,6 +197,93 @@ def test_each_page_is_accessible_and_as_wide_as_the_screen(page, width):
         assert not said, f"{title}, {width} px: {said}"
         assert page.evaluate("document.documentElement.scrollWidth") <= width, title
     assert page.said == []
+
+
+def tab_to(page, role, name):
+    """Press Tab until an element has the focus, which is visible at each step."""
+    wanted = page.get_by_role(role, name=name, exact=True).first
+    wanted.wait_for()
+    for _ in range(150):
+        page.keyboard.press("Tab")
+        if wanted.evaluate("(element) => element === document.activeElement"):
+            break
+    else:
+        raise AssertionError(f"{role} {name!r} is not reached")
+    seen = "({ outlineStyle, boxShadow }) => [outlineStyle, boxShadow]"
+    style = page.evaluate(f"({seen})(getComputedStyle(document.activeElement))")
+    assert style[0] != "none" or style[1] != "none", f"{role} {name!r}: no visible focus"
+
+
+def test_all_by_keyboard(page):
+    page.set_viewport_size({"width": 1280, "height": 900})
+    step(page, "Product")
+    page.keyboard.press("Home")
+    tab_to(page, "link", "Bucket and release")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="Bucket and release", level=1).wait_for()
+    before = float(page.get_by_label("Opening time (ms)").input_value())
+    tab_to(page, "slider", "Flaps are open")
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    page.wait_for_function(
+        "([box, value]) => Number(box.value) === value",
+        arg=[page.get_by_label("Opening time (ms)").element_handle(), before + 3],
+    )
+    for _ in range(3):
+        page.keyboard.press("ArrowLeft")
+    page.get_by_role("link", name="Bucket and release").focus()
+    tab_to(page, "link", "Drop")
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Jump to the peak").wait_for()
+    page.frame_locator("iframe").locator("canvas[data-frame]").wait_for()
+    tab_to(page, "slider", re.compile("^Force and settled mass"))
+    page.keyboard.press("Home")
+    for _ in range(4):
+        page.keyboard.press("ArrowRight")
+    page.wait_for_timeout(300)
+    assert shown_instant(page) == 4
+    page.keyboard.press("End")
+    page.wait_for_timeout(300)
+    assert shown_instant(page) > 100
+    page.get_by_role("link", name="Bucket and release").focus()
+    tab_to(page, "button", "Drop")
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Cancel").wait_for()
+    tab_to(page, "button", "Cancel")
+    page.keyboard.press("Enter")
+    page.get_by_text(re.compile("^cancelled: ")).wait_for()
+    assert page.said == []
+
+
+def drop_from(tab, height):
+    """Drop the product of the last result from another height (mm)."""
+    step(tab, "Drop")
+    tab.get_by_role("button", name="Take up this scene").click()
+    tab.get_by_role("heading", name="Bucket and release", level=1).wait_for()
+    fill(tab, "Drop height (mm)", height)
+    tab.get_by_text("100 g asked").wait_for()
+    step(tab, "Drop")
+    tab.get_by_role("button", name="One drop").click()
+    tab.get_by_role("button", name="Drop", exact=True).click()
+    tab.get_by_role("button", name="Cancel").wait_for()
+
+
+def test_two_tabs_and_two_servers_do_not_spoil_each_other(server, browser, page):
+    folder = server[0]
+    before = set(folder.glob("*.h5"))
+    with serve(folder) as address:
+        tabs = {230: open_tab(browser, server[1]), 220: open_tab(browser, address)}
+        for height, tab in tabs.items():
+            drop_from(tab, height)
+        for tab in tabs.values():
+            tab.get_by_text("time to weigh").first.wait_for(timeout=PATIENCE)
+        results = sorted(set(folder.glob("*.h5")) - before)
+        assert len(results) == 2
+        heights = {load_run(path).scene for path in results}
+        assert {round(1e3 * parse_scene(text, "file").drop.height) for text in heights} == set(tabs)
+        assert all(tab.said == [] for tab in tabs.values())
+    step(page, "Bucket and release")
+    assert page.get_by_label("Drop height (mm)").input_value() == "200", "of the first tab"
 
 
 def test_the_page_answers_while_a_drop_is_computed(page):

@@ -7,7 +7,13 @@ from pathlib import Path
 from nicegui import events, ui
 
 from dem_jax.app import facts
-from dem_jax.app.design import CELL_FIELDS, RELEASE_FIELDS, read_number, write_bucket
+from dem_jax.app.design import (
+    CELL_FIELDS,
+    RELEASE_FIELDS,
+    drop_wrong_changes,
+    read_number,
+    write_bucket,
+)
 from dem_jax.app.facts import BucketStlFacts
 from dem_jax.app.folder import BUCKETS
 from dem_jax.app.pages import parts
@@ -67,7 +73,7 @@ async def show_bucket(session: Session) -> None:
         parts.change_view("bucket-view", f"source=/preview/{key}&keeps{moves}")
         notes.clear()
         with notes:
-            parts.show_lines(found.notes)
+            parts.show_lines(session.folder.shorten_paths(found.notes))
 
     async def refresh() -> None:
         form.clear()
@@ -91,7 +97,9 @@ async def _show_form(
 ) -> None:
     """Bucket, release and load cell."""
     try:
-        scene = session.design.read_scene(session.folder.root)
+        scene = drop_wrong_changes(session.design, session.folder.root).read_scene(
+            session.folder.root
+        )
     except SceneError as error:
         parts.show_error(str(error))
         return
@@ -205,7 +213,10 @@ def _show_stl(session: Session, name: str, found: BucketStlFacts, refresh: Actio
     with ui.element("div").classes("panel"):
         parts.show_heading(f"Read: {stem}")
         parts.show_lines(
-            [f"{' × '.join(f'{edge:.4g}' for edge in found.size)} units of the file", *found.notes]
+            [
+                f"{' × '.join(f'{edge:.4g}' for edge in found.size)} units of the file",
+                *session.folder.shorten_paths(found.notes),
+            ]
         )
         unit = show_unit(found.unit)
         turns, moves = [], []

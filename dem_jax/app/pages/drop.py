@@ -7,7 +7,7 @@ from pathlib import Path
 from nicegui import ui
 
 from dem_jax.app import facts
-from dem_jax.app.design import RUN_COUNTS
+from dem_jax.app.design import FIELDS, RUN_COUNTS, find_field_errors
 from dem_jax.app.facts import RunFacts
 from dem_jax.app.jobs import Job
 from dem_jax.app.pages import parts
@@ -33,6 +33,8 @@ async def show_drop(session: Session) -> None:
             ).classes("seed")
             start = ui.button("Drop", icon="play_arrow").props("no-caps unelevated")
         ui.label(_describe_design(session)).classes("small")
+        if wrong := find_field_errors(session.design, session.folder.root):
+            parts.show_error(parts.describe_errors(wrong))
         follow = parts.show_job(session, "drop", lambda job: finish(job), always=True)
         command = ui.element("div")
     with ui.element("section").props('aria-label="Result"'):
@@ -85,7 +87,7 @@ async def show_drop(session: Session) -> None:
 
     def wake() -> None:
         job = session.jobs.get("drop")
-        start.set_enabled(job is None or job.is_over)
+        start.set_enabled(not wrong and (job is None or job.is_over))
 
     async def show_result() -> None:
         await _show_result(session, (head, chart, numbers), show_result)
@@ -114,7 +116,8 @@ def _describe_design(session: Session) -> str:
     )
     bucket = session.design.bucket.split("/")[-1].removesuffix(".toml") or "the paper's"
     changed = ", ".join(
-        f"{key} = {value:g}" for key, value in sorted(session.design.changes.items())
+        f"{FIELDS[key].label.lower()} {value / FIELDS[key].factor:g} {FIELDS[key].unit}".strip()
+        for key, value in sorted(session.design.changes.items())
     )
     return f"{names} into bucket {bucket}{f'; {changed}' if changed else ''}"
 
@@ -180,7 +183,7 @@ def _show_numbers(session: Session, found: RunFacts) -> None:
         "Numbers" if found.run_count == 1 else "Medians and bands",
     )
     parts.show_heading("What they depend on")
-    parts.show_lines(found.notes)
+    parts.show_lines(session.folder.shorten_paths(found.notes))
     with ui.element("div").classes("line"):
         compare = ui.button("Next: compare", on_click=lambda: ui.navigate.to("/compare"))
         compare.props("no-caps unelevated")

@@ -22,6 +22,9 @@ FILTERS = {
 }
 
 
+LEAST_DROPS = 10  # of which an estimator learns
+
+
 class Download(NamedTuple):
     """A file that a command makes of results. ending: of its name. needs_fit: whether it is made of
     a fitted model.
@@ -87,12 +90,12 @@ async def show_model(session: Session) -> None:
         parts.show_error(str(error))
         return
     has_cell = "weigh_bucket.load_cell" in " ".join(found.settings)
-    _show_weigh(session, has_cell)
+    _show_weigh(session, has_cell, found.run_count)
     _show_fit(session, found.run_count)
     _show_downloads(session)
 
 
-def _show_weigh(session: Session, has_cell: bool) -> None:
+def _show_weigh(session: Session, has_cell: bool, count: int) -> None:
     """The reading of the scale through filters and an estimator."""
     with ui.element("section").classes("panel").props('aria-label="Weigh"'):
         parts.show_heading("The scale's reading")
@@ -100,14 +103,13 @@ def _show_weigh(session: Session, has_cell: bool) -> None:
             FILTERS, multiple=True, value=["average:0.1", "bessel:4:8"], label="Filters"
         )
         chosen.props("outlined use-chips").classes("wide-field")
-        weighers = session.folder.list_files(".json", "weigher")
-        weigher = ui.select(["", *weighers], value="", label="Estimator (of calibrate weigher)")
-        hint = (
-            "Files weigher….json in this folder."
-            if weighers
-            else "None in this folder: calibrate weigher makes one."
+        weigher = ui.select(
+            ["", *session.folder.list_files(".json", "weigher")], value="", label="Estimator"
         )
-        weigher.props("outlined dense").classes("field").props["hint"] = hint
+        weigher.props("outlined dense").classes("field").props["hint"] = (
+            "Knows the weight sooner than a filter; learned from drops."
+        )
+        _show_learning(session, has_cell, count, weigher)
         with ui.element("div"):
             cell = ui.switch("Put a typical load cell under the bucket", value=False)
         cell.set_visibility(not has_cell)
@@ -141,6 +143,29 @@ def _show_weigh(session: Session, has_cell: bool) -> None:
             box.on_value_change(write_command)
         start.on_click(lambda: follow(session.workspace.runner.enter(make_argv())))
         write_command()
+
+
+def _show_learning(session: Session, has_cell: bool, count: int, weigher: ui.select) -> None:
+    """An estimator that is learned from the drops that are shown."""
+    if count < LEAST_DROPS or not has_cell:
+        words = f"An estimator is learned from {LEAST_DROPS} or more drops into a bucket on a load cell (page 2)."
+        ui.label(words).classes("small")
+        return
+    target = f"weigher-{Path(session.shown).stem}.json"
+    argv = ["calibrate", "weigher", session.shown, "--noise", "typical", "--out", target]
+    argv.append("--overwrite")
+    start = ui.button("Learn an estimator from these drops", icon="school").props("no-caps outline")
+    said = ui.element("div").props("aria-live=polite")
+
+    async def finish(job: Job) -> None:
+        weigher.set_options(["", *session.folder.list_files(".json", "weigher")], value=target)
+        said.clear()
+        with said:
+            parts.show_text("pre", "\n".join(job.lines)).props("tabindex=0")
+            parts.show_command([job.argv], "The command of this estimator")
+
+    follow = parts.show_job(session, "weigher", finish)
+    start.on_click(lambda: follow(session.workspace.runner.enter(argv)))
 
 
 def _show_fit(session: Session, count: int) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from nicegui import ui
 
-from dem_jax.app.design import FieldText, find_field_errors, read_number
+from dem_jax.app.design import FIELDS, FieldText, find_field_errors, read_number
 from dem_jax.app.facts import Curve
 from dem_jax.app.jobs import Job, format_command
 from dem_jax.app.session import Session
@@ -97,6 +97,12 @@ def show_slider(label: str, low: float, high: float, step: float, value: float) 
     return slider
 
 
+def describe_errors(errors: dict[str, str]) -> str:
+    """What is wrong, of ``find_field_errors``, in one line."""
+    named = [f"{FIELDS[key].label}: {text}" if key else text for key, text in errors.items()]
+    return "; ".join(named)
+
+
 class Fields:
     """Number fields of the design of a session.
 
@@ -111,10 +117,15 @@ class Fields:
     def show(
         self, texts: Sequence[FieldText], scene: Scene, notes: dict[str, str] | None = None
     ) -> None:
-        """Show fields with the values of a scene. notes: key -> a further sentence below the field."""
+        """Show fields with the values of the design, or else of a scene. notes: key -> a further
+        sentence below the field.
+        """
+        self._wrong = ui.label().classes("error").props("role=alert")
         with ui.element("div").classes("fields"):
             for text in texts:
-                self._show_one(text, read_number(scene, text.key), (notes or {}).get(text.key, ""))
+                value = self._session.design.changes.get(text.key, read_number(scene, text.key))
+                self._show_one(text, value, (notes or {}).get(text.key, ""))
+        self._mark_errors()
 
     def _show_one(self, text: FieldText, value: float | None, note: str) -> None:
         shown = None if value is None else float(f"{value / text.factor:.6g}")
@@ -138,11 +149,17 @@ class Fields:
                 if self._is_default(plain, text.key, value)
                 else design.with_change(text.key, value)
             )
+        if not self._mark_errors():
+            await self._changed()
+
+    def _mark_errors(self) -> dict[str, str]:
+        """Say what is wrong at each field, and above them what is wrong elsewhere."""
         errors = find_field_errors(self._session.design, self._session.folder.root)
         for key, box in self._inputs.items():
             box.error = errors.get(key)
-        if not errors:
-            await self._changed()
+        elsewhere = describe_errors({k: v for k, v in errors.items() if k not in self._inputs})
+        self._wrong.set_text(elsewhere)
+        return errors
 
     def _is_default(self, design: Any, key: str, value: float) -> bool:
         try:
@@ -193,7 +210,7 @@ def show_job(
         bar.set_value(1.0 if job.state == "done" else job.share or 0.0)
         bar.props(f"indeterminate={'true' if job.share is None and not job.is_over else 'false'}")
         bar.set_visibility(not job.is_over)
-        cancel.set_visibility(not job.is_over)
+        cancel.set_visibility(job.state in ("waiting", "running"))
         if job.is_over:
             followed["job"] = None
             timer.deactivate()

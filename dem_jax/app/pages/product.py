@@ -7,7 +7,7 @@ from pathlib import Path
 from nicegui import ui
 
 from dem_jax.app import facts
-from dem_jax.app.design import FIELDS, MATERIAL_FIELDS, write_product
+from dem_jax.app.design import FIELDS, MATERIAL_FIELDS, drop_wrong_changes, write_product
 from dem_jax.app.facts import ProductCard, StlFacts
 from dem_jax.app.folder import PRODUCTS
 from dem_jax.app.pages import parts
@@ -15,6 +15,8 @@ from dem_jax.app.pages.uploads import show_stl_upload, show_unit
 from dem_jax.app.session import Session
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene.library import load_product
+
+DENSITIES = (10.0, 12e3)  # kg/m3, of what is weighed
 
 
 async def show_product(session: Session) -> None:
@@ -103,7 +105,7 @@ async def _show_choice(session: Session, refresh: Callable[[], Awaitable[None]])
     """The chosen product or mixture: evidence, material, command."""
     design = session.design
     try:
-        scene = design.read_scene(session.folder.root)
+        scene = drop_wrong_changes(design, session.folder.root).read_scene(session.folder.root)
     except SceneError as error:
         parts.show_error(str(error))
         return
@@ -225,7 +227,7 @@ def _show_stl(
         parts.show_lines([*found.notes, describe_excess(found)])
         unit = show_unit(found.unit)
         weight = ui.number("Weight of a piece (g)", value=None, step=0.1)
-        weight.props('outlined dense hint="An STL has no weight. Allowed: above 0 g."').classes(
+        weight.props('outlined dense hint="An STL has no weight; it gives the density."').classes(
             "field"
         )
         like = ui.select(
@@ -249,10 +251,9 @@ def _show_stl(
 
         async def use() -> None:
             wrong.set_text("")
-            if not weight.value or weight.value <= 0:
-                weight.error = "Allowed: above 0 g"
+            weight.error = find_weight_error(weight.value, found.volume * unit.value**3)
+            if weight.error:
                 return
-            weight.error = None
             tree = load_product(like.value, "products")
             text = write_product(
                 f"{stem}.stl", unit.value, 1e-3 * weight.value, found.is_hull, tree
@@ -271,6 +272,14 @@ def _show_stl(
                 await refresh()
 
         button = ui.button("Use this part", on_click=use).props("no-caps unelevated")
+
+
+def find_weight_error(weight: float | None, volume: float) -> str | None:
+    """What is wrong with the weight (g) of a piece of a volume (m3); None: nothing."""
+    low, high = (1e3 * density * volume for density in DENSITIES)
+    if weight and low <= weight <= high:
+        return None
+    return f"Allowed: {low:.3g} to {high:.3g} g, as of puffs and of lead"
 
 
 def describe_excess(found: StlFacts) -> str:

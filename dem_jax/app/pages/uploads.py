@@ -37,9 +37,14 @@ def show_stl_upload(
         with form:
             try:
                 name = session.folder.store_upload(folder, event.file.name, await event.file.read())
-                path = str(session.folder.find_path(name))
-                show(name, await session.workspace.helper.ask(describe, path))
+                path = session.folder.find_path(name)
             except RecordError as error:
+                parts.show_error(str(error))
+                return
+            try:
+                show(name, await session.workspace.helper.ask(describe, str(path)))
+            except RecordError as error:
+                path.unlink(missing_ok=True)  # nothing can be made of it
                 parts.show_error(str(error))
 
     parts.show_upload(prompt, LARGEST_STL, receive)

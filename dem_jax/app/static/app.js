@@ -12,7 +12,9 @@ function markStep(path) {
 // Shows another source in a 3-D view; the same one goes on.
 function showView(id, source) {
   const view = document.getElementById(id);
-  if (view) view.contentWindow.location.replace(`/player#${source}`);
+  if (!view) return;
+  view.dataset.shows = source;
+  view.contentWindow.location.replace(`/player#${source}`);
 }
 
 let followed = null; // id of the chart that has the cursor

@@ -27,6 +27,7 @@
       }
       const found = answer.status === 204 ? { more: true } : await answer.json();
       if (mine !== turn) return;
+      shown.textContent = found.words || shown.textContent;
       if (found.view && (options.follows || !found.more || found.view.time.length > 1)) {
         dropPlayer.put(found.view, { ...options, more: found.more, span: found.span });
         options.follows = true;

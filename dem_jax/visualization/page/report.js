@@ -169,6 +169,11 @@
     if (now) scene.remove(now.whole);
     now = made[0] = null;
     choose(0);
+    if (more) { // where pieces will be is not known yet
+      const all = new THREE.Box3().setFromObject(now.whole);
+      now.box = [all.min.toArray(), all.max.toArray()];
+      look();
+    }
     if (before) {
       camera.position.copy(before[0]);
       controls.target.copy(before[1]);
