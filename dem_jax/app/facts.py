@@ -289,7 +289,7 @@ def find_level(capacity: Any, heap: float) -> np.ndarray | None:
         heights * np.arange(1, len(heights) + 1) - np.cumsum(heights)
     )  # volume up to each height
     count = int(np.searchsorted(below, heap))
-    if heap <= 0.0 or count >= len(heights):
+    if not 0.0 < heap <= capacity.volume:
         return None
     z = (heap / area + heights[:count].sum()) / count
     low = capacity.surface.origin + capacity.surface.cell * cells[:count].min(axis=0)

@@ -1,5 +1,6 @@
 """What a person chooses, as a scene and as commands."""
 
+import json
 import tomllib
 from dataclasses import replace
 
@@ -141,6 +142,8 @@ def test_an_own_bucket_lies_under_the_feed_bucket(tmp_path):
         write_bucket("tray.stl", found.unit, (0, 0, 0), (0, 0, 0), True)
     )
     said = facts.describe_scene(Design().with_bucket("tray.toml").to_toml(), str(tmp_path))
+    surface = json.loads(said.view)["view"]["shapes"]
+    assert len(surface) == 1, "the level of a heap on a flat floor"
     assert any(
         "weigh bucket: " in note and "to the brim 1.73 litres" in note for note in said.notes
     )

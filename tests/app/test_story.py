@@ -24,7 +24,7 @@ ARGUMENTS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
-PATIENCE = 120_000  # ms, of a drop on a busy machine
+PATIENCE = 180_000  # ms, of a drop on a busy machine
 PAGES = ("Product", "Bucket and release", "Drop", "Compare", "Weigh and model")
 WIDTHS = (390, 1280)
 
@@ -67,7 +67,7 @@ def open_tab(browser, address):
     tab.said = []
     tab.on("console", lambda m: tab.said.append(m.text) if m.type in ("error", "warning") else None)
     tab.on("pageerror", lambda error: tab.said.append(str(error)))
-    tab.set_default_timeout(60_000)
+    tab.set_default_timeout(PATIENCE)
     tab.goto(address)
     return tab
 

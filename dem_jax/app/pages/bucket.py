@@ -42,10 +42,11 @@ async def show_bucket(session: Session) -> None:
         form = ui.element("section").classes("wide")
         with ui.element("section").classes("side").props('aria-label="Buckets in 3-D"'):
             with ui.element("div").classes("view").props("id=bucket-place") as place:
-                parts.show_view("bucket-view", "Buckets in 3-D; the time moves the flaps")
+                view = parts.show_view("bucket-view", "Buckets in 3-D; the time moves the flaps")
             notes = ui.element("div").props("aria-live=polite")
             command = ui.element("div")
 
+    seen: list[str] = []  # the bucket in the 3-D view
     moved: list[MoveAction] = []  # what the form does when the bucket is dragged
 
     async def show_view() -> None:
@@ -70,7 +71,9 @@ async def show_bucket(session: Session) -> None:
             return  # a later change has a view of its own
         key = session.workspace.keep_view(found.view)
         moves = "&moves" if session.design.bucket.endswith(".toml") else ""
-        parts.change_view("bucket-view", f"source=/preview/{key}&keeps{moves}")
+        keeps = "&keeps" if seen == [session.design.bucket] else ""
+        seen[:] = [session.design.bucket]
+        parts.change_view(view, f"source=/preview/{key}{keeps}{moves}")
         notes.clear()
         with notes:
             parts.show_lines(session.folder.shorten_paths(found.notes))

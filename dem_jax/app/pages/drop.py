@@ -14,7 +14,6 @@ from dem_jax.app.pages import parts
 from dem_jax.app.session import Session
 from dem_jax.errors import RecordError, SceneError
 
-VIEW = "drop-view"  # name of the 3-D view
 WORDS = {1: "One drop", 16: "16 drops", 64: "64 drops"}
 
 
@@ -41,7 +40,7 @@ async def show_drop(session: Session) -> None:
         head = ui.element("div")
         with ui.element("div").classes("halves"):
             with ui.element("div").classes("view"):
-                parts.show_view(VIEW, "The drop in 3-D")
+                view = parts.show_view("drop-view", "The drop in 3-D")
             chart = ui.element("div")
         numbers = ui.element("div")
 
@@ -77,7 +76,7 @@ async def show_drop(session: Session) -> None:
             ui.label("The pieces fall as they are computed; force and numbers follow.").classes(
                 "lead"
             )
-        parts.change_view(VIEW, find_source(session.opened_jobs["drop"], 0) + "&plays")
+        parts.change_view(view, find_source(session.opened_jobs["drop"], 0) + "&plays")
 
     async def finish(_: Job) -> None:
         name = session.opened_jobs["drop"]
@@ -90,7 +89,7 @@ async def show_drop(session: Session) -> None:
         start.set_enabled(not wrong and (job is None or job.is_over))
 
     async def show_result() -> None:
-        await _show_result(session, (head, chart, numbers), show_result)
+        await _show_result(session, view, (head, chart, numbers), show_result)
         show_command()
 
     runs.on_value_change(change)
@@ -123,9 +122,15 @@ def _describe_design(session: Session) -> str:
 
 
 async def _show_result(
-    session: Session, places: Sequence[ui.element], refresh: Callable[[], Awaitable[None]]
+    session: Session,
+    view: ui.element,
+    places: Sequence[ui.element],
+    refresh: Callable[[], Awaitable[None]],
 ) -> None:
-    """A file of results: which one, the drop, the force, the numbers. places: of these."""
+    """A file of results: which one, the drop, the force, the numbers.
+
+    view: of the drop in 3-D. places: of the others.
+    """
     head, chart, numbers = places
     for place in places:
         place.clear()
@@ -134,7 +139,9 @@ async def _show_result(
         session.shown, session.member = (names[0] if names else ""), None
     if not session.shown:
         with head:
-            ui.label("Nothing has been dropped in this folder yet.").classes("lead")
+            ui.label("Nothing has been dropped in this folder yet; a drop is seen here.").classes(
+                "lead"
+            )
         return
 
     async def choose(name: str) -> None:
@@ -155,7 +162,7 @@ async def _show_result(
         return
     if head.is_deleted:
         return  # another page is shown
-    parts.change_view(VIEW, find_source(session.shown, found.member))
+    parts.change_view(view, find_source(session.shown, found.member))
     with head:
         if found.run_count > 1:
             _show_members(session, found.run_count, found.member, refresh)

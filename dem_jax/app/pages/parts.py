@@ -240,17 +240,20 @@ def _keep(task: asyncio.Task[Any]) -> None:
     task.add_done_callback(_TASKS.discard)
 
 
-def show_view(name: str, title: str, source: str = "") -> None:
-    """A 3-D view. name: of its element. title: what it shows. source: as for ``change_view``."""
-    address = f"/player#{source}" if source else "/player"
-    ui.element("iframe").props(f'src="{address}" title="{_escape(title)}" id="{name}"')
+def show_view(name: str, title: str) -> ui.element:
+    """A 3-D view. name: of its element, for app.js. title: what it shows."""
+    view = ui.element("iframe").props(f'src="/player" title="{_escape(title)}"')
+    view.props["id"] = name
+    return view
 
 
-def change_view(name: str, source: str) -> None:
+def change_view(view: ui.element, source: str) -> None:
     """Show something else in a 3-D view. source: of its data, as player.js reads it; the one that
     is shown goes on.
     """
-    ui.run_javascript(f"showView({json.dumps(name)}, {json.dumps(source)})")
+    if not view.is_deleted:
+        name = json.dumps(view.props["id"])
+        view.client.run_javascript(f"showView({name}, {json.dumps(source)})")
 
 
 def show_chart(
