@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 import trimesh
 
+from dem_jax.app.pages.model import DOWNLOADS
 from dem_jax.io.run_files import load_run
 from dem_jax.scene import parse_scene
 
@@ -199,13 +200,31 @@ def test_each_page_is_accessible_and_as_wide_as_the_screen(page, width):
     assert page.said == []
 
 
+@pytest.mark.long
+def test_fit_and_downloads_by_clicks(server, page):
+    """The files themselves are held by the tests of their commands."""
+    page.set_viewport_size({"width": 1280, "height": 900})
+    step(page, "Weigh and model")
+    page.get_by_role("button", name="Weigh", exact=True).click()
+    page.get_by_alt_text("Readings of the scale and their error").wait_for(timeout=PATIENCE)
+    page.get_by_role("button", name="Fit the model").click()
+    page.get_by_alt_text("Traces and the fitted model").wait_for(timeout=2 * PATIENCE)
+    step(page, "Drop")
+    step(page, "Weigh and model")
+    for label, text, *_ in (*DOWNLOADS, ("Result file", ""), ("Scene file", "")):
+        with page.expect_download(timeout=2 * PATIENCE) as found:
+            page.get_by_role("button", name=label, exact=True).click()
+        assert found.value.path().stat().st_size > 100, text
+    assert page.said == []
+
+
 def tab_to(page, role, name):
     """Press Tab until an element has the focus, which is visible at each step."""
     wanted = page.get_by_role(role, name=name, exact=True).first
     wanted.wait_for()
     for _ in range(150):
         page.keyboard.press("Tab")
-        if wanted.evaluate("(element) => element === document.activeElement"):
+        if wanted.evaluate("(element) => element.contains(document.activeElement)"):
             break
     else:
         raise AssertionError(f"{role} {name!r} is not reached")

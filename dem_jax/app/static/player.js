@@ -102,6 +102,7 @@
     drag.by.copy(point).sub(drag.from);
     for (const axis of ["x", "y", "z"]) drag.by[axis] = GRID * Math.round(drag.by[axis] / GRID);
     drag.walls.forEach((wall, k) => wall.position.copy(drag.at[k]).add(drag.by));
+    dropPlayer.redraw();
     tellMove(false);
   }, true);
 

@@ -74,8 +74,11 @@
   let frame = 0;
   let clock = null; // of the last picture while it plays (ms)
   let time = 0;
+  let isStale = true; // whether the picture must be drawn: without a graphics card that costs a core
+  controls.addEventListener("change", () => { isStale = true; });
 
   function resize() {
+    isStale = true;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
     renderer.setPixelRatio(window.devicePixelRatio || 1);
     renderer.setSize(width, height, false);
@@ -118,6 +121,7 @@
 
   function show(i) {
     frame = i;
+    isStale = true;
     const count = now.pieces.length;
     const groups = now.walls.length;
     const still = now.poses.length === 7 * groups;
@@ -144,7 +148,8 @@
     slider.max = now.time.length - 1;
     choosePace(now.time[now.time.length - 1] - now.time[0]);
     look();
-    go(now.time[0]);
+    time = now.time[0];
+    show(0);
   }
 
   function choosePace(span) {
@@ -185,7 +190,8 @@
 
   function go(t) {
     time = Math.min(t, now.time[now.time.length - 1]);
-    show(nearest(time));
+    const i = nearest(time);
+    if (i !== frame || !canvas.dataset.frame) show(i);
   }
 
   function start(plays) {
@@ -201,7 +207,8 @@
       if (frame === now.time.length - 1 && !grows) start(false);
     }
     controls.update();
-    renderer.render(scene, camera);
+    if (isStale) renderer.render(scene, camera);
+    isStale = false;
     requestAnimationFrame(tick);
   }
 
@@ -212,7 +219,7 @@
   window.addEventListener("resize", resize);
   resize();
   if (views.length) choose(0);
-  window.dropPlayer = { put, instants: () => (now ? now.time : []), world: () => ({ THREE, camera, now }) };
+  window.dropPlayer = { put, redraw: () => { isStale = true; }, instants: () => (now ? now.time : []), world: () => ({ THREE, camera, now }) };
   const asked = /t=(-?[\d.]+)/.exec(location.hash);
   if (now && asked) go(Number(asked[1]));
   if (now && location.hash.includes("play")) start(true);
