@@ -207,6 +207,7 @@ def test_fit_and_downloads_by_clicks(server, page):
     step(page, "Weigh and model")
     page.get_by_role("button", name="Weigh", exact=True).click()
     page.get_by_alt_text("Readings of the scale and their error").wait_for(timeout=PATIENCE)
+    page.get_by_role("switch", name="Fit even if the traces look unusual").click()
     page.get_by_role("button", name="Fit the model").click()
     page.get_by_alt_text("Traces and the fitted model").wait_for(timeout=2 * PATIENCE)
     step(page, "Drop")

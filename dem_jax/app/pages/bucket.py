@@ -2,6 +2,7 @@
 
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from nicegui import events, ui
@@ -190,13 +191,15 @@ def _show_timeline(scene: Scene, fields: parts.Fields) -> None:
     begins = parts.show_slider("Flaps begin to open", 0, most, 1, start)
     ends = parts.show_slider("Flaps are open", 0, most, 1, end)
 
-    def drag() -> None:
-        low, high = sorted((float(begins.value), float(ends.value)))
+    def drag(changed: ui.slider, event: events.GenericEventArguments) -> None:
+        times = {slider: float(slider.value) for slider in (begins, ends)}
+        times[changed] = float(event.args)  # its value may follow a moment later
+        low, high = sorted(times.values())
         fields.set_value("feed_bucket.opening_start", low)
         fields.set_value("feed_bucket.opening_time", max(high - low, 1.0))
 
     for slider in (begins, ends):
-        slider.on("change", drag)
+        slider.on("change", partial(drag, slider))
 
 
 def _show_upload(session: Session, refresh: Action) -> None:

@@ -178,10 +178,20 @@ def _show_fit(session: Session, count: int) -> None:
             ).classes("lead")
             return
         stem = Path(session.shown).stem
-        argv = ["calibrate", "fit", session.shown, "--out", f"{stem}-fit.json", "--overwrite"]
+        with ui.element("div"):
+            forced = ui.switch("Fit even if the traces look unusual", value=False)
         start = ui.button("Fit the model", icon="insights").props("no-caps unelevated")
-        parts.show_command([argv], "The command of this fit")
+        command = ui.element("div")
         result = ui.element("div").props("aria-live=polite")
+
+        def make_argv() -> list[str]:
+            argv = ["calibrate", "fit", session.shown, "--out", f"{stem}-fit.json", "--overwrite"]
+            return [*argv, "--force"] if forced.value else argv
+
+        def write_command() -> None:
+            command.clear()
+            with command:
+                parts.show_command([make_argv()], "The command of this fit")
 
         async def finish(job: Job) -> None:
             result.clear()
@@ -189,7 +199,9 @@ def _show_fit(session: Session, count: int) -> None:
                 show_figure(f"{stem}-fit.png", "Traces and the fitted model", job.lines)
 
         follow = parts.show_job(session, "fit", finish)
-        start.on_click(lambda: follow(session.workspace.runner.enter(argv)))
+        forced.on_value_change(write_command)
+        start.on_click(lambda: follow(session.workspace.runner.enter(make_argv())))
+        write_command()
 
 
 def show_figure(name: str, words: str, lines: Sequence[str]) -> None:
