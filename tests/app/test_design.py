@@ -49,7 +49,6 @@ MIXED = Design(products=(("hazelnut", 2.0), ("almond", 1.0)), bucket="5.4-litre"
             has_load_cell=True,
             changes={"drop.height": 0.3, "weigh_bucket.load_cell.mass": 0.8},
         ),
-        Design(bucket="", move=(0.0, 0.005, -0.01)),
         Design().with_product("frozen-pea:thawing").with_change("material.restitution", 0.4),
     ],
 )
@@ -59,6 +58,12 @@ def test_a_design_is_read_back_from_its_scene(design, tmp_path):
     scene = design.read_scene(tmp_path)
     for key, value in design.changes.items():
         assert read_number(scene, key) == value
+
+
+def test_a_moved_bucket_is_read_back_and_forgotten_with_another():
+    design = Design(bucket="buckets/tray.toml", move=(0.0, 0.005, -0.01))
+    assert read_design(tomllib.loads(design.to_toml())) == design
+    assert design.with_bucket("0.9-litre").move is None
 
 
 def test_a_scene_with_more_in_it_than_the_pages_show_is_not_read():
