@@ -105,8 +105,12 @@ def shown_instant(page):
     return int(page.frame_locator("iframe").locator("canvas").get_attribute("data-frame"))
 
 
-def drag_bucket(page):
-    """Drag the bucket to the side and up, and back by numbers."""
+@pytest.mark.long
+def test_a_bucket_is_dragged_and_moved_by_numbers(page):
+    step(page, "Bucket and release")
+    page.locator("iframe[data-shows*=moves]").wait_for()
+    page.frame_locator("iframe").locator("canvas[data-source]").wait_for()
+    page.wait_for_timeout(500)
     box = page.locator("iframe").bounding_box()
     x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.66 * box["height"]
     page.mouse.move(x, y)
@@ -137,8 +141,6 @@ def test_the_story_by_clicks_alone(server, page, tmp_path):
     page.locator("input[type=file]").set_input_files(tmp_path / "tray.stl")
     page.get_by_role("button", name="Use this bucket").click()
     page.get_by_text("Your own: tray").wait_for()
-    page.locator("iframe[data-shows*=moves]").wait_for()
-    drag_bucket(page)
     fill(page, "Drop height (mm)", -5)
     page.get_by_role("alert").get_by_text("allowed: above 0 mm").wait_for()
     fill(page, "Drop height (mm)", 250)
@@ -234,6 +236,7 @@ def tab_to(page, role, name):
     assert style[0] != "none" or style[1] != "none", f"{role} {name!r}: no visible focus"
 
 
+@pytest.mark.long
 def test_all_by_keyboard(page):
     page.set_viewport_size({"width": 1280, "height": 900})
     step(page, "Product")
@@ -288,6 +291,7 @@ def drop_from(tab, height):
     tab.get_by_role("button", name="Cancel").wait_for()
 
 
+@pytest.mark.long
 def test_two_tabs_and_two_servers_do_not_spoil_each_other(server, browser, page):
     folder = server[0]
     before = set(folder.glob("*.h5"))

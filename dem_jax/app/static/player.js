@@ -8,6 +8,7 @@
   const canvas = document.getElementById("drop");
   const slider = document.getElementById("time");
   const shown = document.getElementById("shown");
+  let drag = null; // of a bucket: plane, first point, and how far it is moved
   let turn = 0; // of the source that is followed
   let source = null;
 
@@ -31,6 +32,8 @@
       if (found.view && (options.follows || !found.more || found.view.time.length > 1)) {
         dropPlayer.put(found.view, { ...options, more: found.more, span: found.span });
         options.follows = true;
+        canvas.dataset.source = source;
+        drag = null; // of what was shown before
       }
       more = found.more;
       if (more) await new Promise((wake) => setTimeout(wake, Math.max(PAUSE, 2 * (performance.now() - since))));
@@ -57,7 +60,6 @@
   // With "moves" in the hash the weigh bucket is dragged in the vertical plane that faces the eye most: along y and z, or
   // x and z. The page around is told by how much (m), and shows the bucket there.
   const GRID = 1e-3; // m
-  let drag = null; // plane, first point, and how far it is moved
 
   function rayAt(event) {
     const { THREE, camera } = dropPlayer.world();
