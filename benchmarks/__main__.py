@@ -19,6 +19,7 @@ BENCHMARKS += (
     "scaling",
     "product_model",
     "calibration",
+    "programs",
     "uncertainty",
     "draft",
     "weighing",

@@ -77,6 +77,11 @@ def find_name(what: str, arguments: Any, *options: Any) -> str | None:
     return f"{what}-{_hash(text, repr(around))}"
 
 
+def has(name: str | None) -> bool:
+    """Whether there is a file of this name."""
+    return name is not None and _folder is not None and (_folder / name).is_file()
+
+
 def load(name: str | None, read: Callable[[bytes], T]) -> T | None:
     """What ``read`` makes of the content of a file; None if there is none. A file that cannot be
     read is removed.

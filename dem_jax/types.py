@@ -571,10 +571,11 @@ class Scratch(PytreeBase):
     slots: dict[str, PairConstants]  # by kind of contact
     filled: dict[str, Array]  # kind of contact -> int32: number of slots that hold a pair; these
     # come first
-    max_contacts: Array  # int32: most contacts of a piece
+    max_contacts: Array  # [tiles] int32: most contacts of a piece, in each tile of pieces, see
+    # ``contacts.tiling.piece_tile_size``
     wall_contacts: Array  # [2, touching, N] int32: like ``State.incidence`` for contacts with
     # walls, and the numbers of their groups
-    max_wall_contacts: Array  # int32: most contacts of a piece with walls
+    max_wall_contacts: Array  # [tiles] int32: the same for contacts with walls
     loads: Array  # [7, columns] (N, N m, N): force and torque of each contact on a piece, about its
     # centre, and the increment of the force on b along gravity, see
     # ``Response.reversal_increment``: all on b, then all on a, kind by kind; one more column holds

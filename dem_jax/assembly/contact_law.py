@@ -5,6 +5,8 @@ precision.
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from dem_jax.contact_laws import ContactLaw
 from dem_jax.contact_laws.cohesion import Cohesive
 from dem_jax.contact_laws.densifying import Densifying
@@ -31,6 +33,31 @@ def build_contact_law(scene: Scene, materials: Materials | None = None) -> Conta
             law, _host_number(cohesion.stiffness), _host_number(cohesion.interaction_range)
         )
     return law if materials.rolling is None else Rolling(law)
+
+
+def extend_to_class(
+    scene: Scene, law: ContactLaw, materials: Materials, has_hulls: bool
+) -> tuple[ContactLaw, Materials]:
+    """The law and the materials of a scene in the form of its size class: a table of all pairs of
+    materials, and for polytopes, whose geometry takes most of a step, the law of Walton and Braun
+    with cohesion and rolling friction, which are without effect where they are 0.
+    """
+    count = len(materials.is_wall)
+    full = {
+        name: np.broadcast_to(values, (count, count))
+        for name in PAIR_PROPERTIES
+        if (values := getattr(materials, name)) is not None
+    }
+    extended = has_hulls and scene.contact.law == "walton-braun" and "friction" in full
+    if extended:
+        own = law.law if isinstance(law, Rolling) else law
+        if not isinstance(own, Cohesive):
+            cohesion = scene.contact.cohesion
+            own = Cohesive(own, _host_number(cohesion.stiffness), _host_number(cohesion.range))
+        law = Rolling(own)
+        none = np.zeros((count, count))
+        full = {"pull_off": none, "rolling": none} | full
+    return law, materials.replace(**full)
 
 
 def _build_walton_braun(scene: Scene) -> ContactLaw:

@@ -1,5 +1,5 @@
-"""Runs with different numbers of pieces in one program: each is padded to the largest number with
-pieces outside the scene.
+"""Runs with different numbers of pieces in one program: each is padded to the largest number, or to
+that of a size class, with pieces outside the scene.
 """
 
 from collections.abc import Sequence
@@ -9,27 +9,39 @@ from typing import NamedTuple
 import numpy as np
 
 from dem_jax.assembly.assembly_cache import AssemblyCache
+from dem_jax.assembly.hull_table import is_small_zonotope
 from dem_jax.assembly.initial_conditions import InitialConditions
 from dem_jax.assembly.part_arrays import PiecePart
 from dem_jax.assembly.piece_arrays import (
     PieceSet,
     build_piece_arrays,
+    find_alike_kinds,
     find_distinct_shapes,
     reuse_piece_set,
 )
+from dem_jax.broad_phase.candidate_search import choose_search
 from dem_jax.scene import Scene
 from dem_jax.scene.material_properties import build_material_table
 from dem_jax.shapes import Shape, list_parts
 from dem_jax.types import Pieces
 
+PIECE_CLASSES = (16, 64, 256, 640)  # numbers of pieces to which a portion is filled up: fewer than
+# those for which cells replace all pairs
+SHAPE_CLASS = 16  # distinct polytopes, unless there is one: as many as a product has sizes
+
 
 class EnsembleCapacity(NamedTuple):
-    """Capacity of each run of an ensemble. pieces: number of pieces. polytopes: number of distinct
-    convex polytopes among their parts.
+    """Capacity of each run of an ensemble, or of a size class.
+
+    pieces: number of pieces. polytopes: number of distinct convex polytopes among their parts.
+    alike: ``System.alike`` of all runs. rounded: whether numbers of faces, corners and edges are
+    rounded up to those of a class.
     """
 
     pieces: int
     polytopes: int
+    alike: tuple[str, ...]
+    rounded: bool
 
 
 def find_ensemble_capacity(
@@ -38,13 +50,58 @@ def find_ensemble_capacity(
     """The capacity that the run with most pieces needs; None if all runs have equal numbers, or if
     pieces come and go. Raises SceneError.
     """
+    found = _measure_scenes(scenes, reuse)
+    return None if found is None or len(found.counts) == 1 else found.capacity
+
+
+def find_size_class(scenes: Sequence[Scene], reuse: AssemblyCache) -> EnsembleCapacity | None:
+    """The size class of scenes that share a program: ``find_ensemble_capacity``, rounded up. Only
+    for portions of at most ``PIECE_CLASSES[-1]`` pieces, and unless a scene asks for exact sizes.
+    Raises SceneError.
+    """
+    found = _measure_scenes(scenes, reuse)
+    if found is None:
+        return None
+    most = found.capacity.pieces
+    has_class = most <= PIECE_CLASSES[-1] and all(
+        scene.run.sizes == "classes"
+        and not scene.piece
+        and choose_search(scene.run.neighbours, most) == "all-pairs"
+        for scene in scenes
+    )
+    if not has_class:
+        return None if len(found.counts) == 1 else found.capacity
+    shapes, alike = found.capacity.polytopes, found.capacity.alike
+    if shapes and not (shapes == 1 and found.are_zonotopes):
+        shapes, alike = -(-shapes // SHAPE_CLASS) * SHAPE_CLASS, tuple({*alike} - {"hulls"})
+    return EnsembleCapacity(
+        pieces=next(size for size in PIECE_CLASSES if size >= most),
+        polytopes=shapes,
+        alike=alike,
+        rounded=True,
+    )
+
+
+class _MeasuredScenes(NamedTuple):
+    """Numbers of pieces of some scenes, each once, and the capacity for all of them."""
+
+    counts: frozenset[int]
+    capacity: EnsembleCapacity
+    are_zonotopes: bool  # all polytopes, see ``hull_table.is_small_zonotope``
+
+
+def _measure_scenes(scenes: Sequence[Scene], reuse: AssemblyCache) -> _MeasuredScenes | None:
+    """Measures of scenes; None if pieces come and go."""
     if any(scene.inlet or scene.outlet for scene in scenes):
         return None
     goods = [reuse_piece_set(scene, build_material_table(scene), reuse) for scene in scenes]
     counts = [len(each.shapes) for each in goods]
-    if len(set(counts)) == 1:
-        return None
-    return EnsembleCapacity(max(counts), max(_count_polytopes(each.shapes) for each in goods))
+    shapes = max(_count_polytopes(each.shapes) for each in goods)
+    alike = set.intersection(*(set(find_alike_kinds(each)) for each in goods))
+    own = EnsembleCapacity(max(counts), shapes, tuple(sorted(alike)), False)
+    distinct = {id(shape): shape for each in goods for shape in each.shapes if shape.radius == 0}
+    zonotopes = all(is_small_zonotope(shape) for shape in distinct.values())
+    return _MeasuredScenes(frozenset(counts), own, zonotopes)
 
 
 def pad_pieces(

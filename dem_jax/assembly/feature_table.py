@@ -40,6 +40,29 @@ TABLE_SIZES = (
     3072,
     4096,
 )
+# sizes of tables that different products share: of bodies of prisms, and of smooth bodies
+CLASS_SIZES = {
+    "faces": (6, 8, 48),
+    "corners": (8, 32),
+    "edges": (12, 96),
+    "directions": (4, 64),
+    "sides": (4, 16),
+}
+
+
+def round_to_class(what: str, count: int, rounded: bool, exact: int | None = None) -> int:
+    """Size of a table: that of a class if ``rounded`` and if there is one, else ``exact``, by default
+    the next of the TABLE_SIZES.
+
+    Args:
+        what: a key of CLASS_SIZES.
+        count: largest number of any shape.
+        rounded: whether products share tables.
+        exact: size of a table that is not shared.
+    """
+    exact = _next_table_size(count) if exact is None else exact
+    classes = CLASS_SIZES[what] if rounded else ()
+    return next((size for size in classes if size >= count), exact)
 
 
 def build_feature_table(
@@ -49,6 +72,7 @@ def build_feature_table(
     inner: Sequence[Sequence[bool]] | None = None,
     all_clip: bool = False,
     is_bent: bool = False,
+    rounded: bool = False,
 ) -> PolytopeFeatures:
     """Features of S polytopes, from which depth and normal are found.
 
@@ -58,13 +82,15 @@ def build_feature_table(
         parts: the parts whose faces can touch; None if these are the shapes themselves.
         inner: for each face of a part, whether other parts cover it.
         all_clip, is_bent: as in ``PolytopeFeatures``.
+        rounded: as in ``round_to_class``.
     """
     rows = [_ShapeFeatures(shape) for shape in shapes]
     own = rows if parts is None else [_ShapeFeatures(shape) for shape in parts]
-    planes, corners = _stack_planes(rows, dtype), _stack_corners(rows, dtype)
+    planes, corners = _stack_planes(rows, dtype, rounded), _stack_corners(rows, dtype, rounded)
     sides = max(len(ring) for row in own for ring in row.rings)
-    faces = _next_table_size(max(len(row.rings) for row in own))
-    edges = _next_table_size(max(len(row.edges) for row in rows))
+    sides = round_to_class("sides", sides, rounded, sides)
+    faces = round_to_class("faces", max(len(row.rings) for row in own), rounded)
+    edges = round_to_class("edges", max(len(row.edges) for row in rows), rounded)
     return PolytopeFeatures(
         planes=planes,
         corners=corners,
@@ -73,8 +99,8 @@ def build_feature_table(
             [row.corners[np.argmax(row.corners @ SUPPORT_DIRECTIONS.T, axis=0)] for row in rows],
             dtype,
         ),
-        part_planes=planes if parts is None else _stack_planes(own, dtype),
-        part_corners=corners if parts is None else _stack_corners(own, dtype),
+        part_planes=planes if parts is None else _stack_planes(own, dtype, rounded),
+        part_corners=corners if parts is None else _stack_corners(own, dtype, rounded),
         interior_faces=None if inner is None else _stack_interior(inner, faces, dtype),
         face_vertices=_stack_rows(
             [
@@ -137,13 +163,13 @@ def _stack_interior(covered: Sequence[Sequence[bool]], faces: int, dtype: DTypeL
     )
 
 
-def _stack_planes(rows: list[_ShapeFeatures], dtype: DTypeLike) -> Array:
-    count = _next_table_size(max(len(row.planes) for row in rows))
+def _stack_planes(rows: list[_ShapeFeatures], dtype: DTypeLike, rounded: bool) -> Array:
+    count = round_to_class("faces", max(len(row.planes) for row in rows), rounded)
     return _stack_rows([_pad_rows(row.planes, count) for row in rows], dtype)
 
 
-def _stack_corners(rows: list[_ShapeFeatures], dtype: DTypeLike) -> Array:
-    count = _next_table_size(max(len(row.corners) for row in rows))
+def _stack_corners(rows: list[_ShapeFeatures], dtype: DTypeLike, rounded: bool) -> Array:
+    count = round_to_class("corners", max(len(row.corners) for row in rows), rounded)
     return _stack_rows([_pad_rows(row.corners, count) for row in rows], dtype)
 
 

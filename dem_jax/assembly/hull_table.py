@@ -42,6 +42,7 @@ def build_hull_table(
     dtype: DTypeLike,
     seams: SeamRows | None = None,
     continued: PartContinuations | None = None,
+    rounded: bool = False,
 ) -> Hulls:
     """Stack S polytopes into one table, padded by repetition, which does not change any minimum,
     maximum or sum.
@@ -56,6 +57,8 @@ def build_hull_table(
         seams: for each shape the edges of its face along z that are seams; or None.
         continued: for each shape its ``Continuation`` if other parts continue it, else None; or
             None.
+        rounded: whether tables that are not of zonotopes have the sizes of classes, so that
+            different shapes share a program.
     """
     rows = [_describe_hull(shape) for shape in shapes]
     if continued:
@@ -71,6 +74,16 @@ def build_hull_table(
     faces = max(len(row["normals"]) for row in rows)
     edges = max(len(row["directions"]) for row in rows)
     corners = max(len(row["vertices"]) for row in rows)
+    if rounded and not zonotopes:
+        sides, faces, edges, corners = (
+            feature_table.round_to_class(what, count, rounded, count)
+            for what, count in (
+                ("sides", sides),
+                ("faces", faces),
+                ("directions", edges),
+                ("corners", corners),
+            )
+        )
     normals, offsets, loops = [], [], []
     for row in rows:
         order = _pad_face_order(len(row["normals"]), faces, zonotopes)
@@ -114,8 +127,8 @@ def build_hull_table(
         interior_faces=_stack_last([_interior_flags(more, faces) for more in continued], dtype)
         if continued
         else None,
-        features=None if zonotopes else _build_features(shapes, dtype, seams, continued),
-        extended=_build_extended_hulls(shapes, dtype, continued) if continued else None,
+        features=None if zonotopes else _build_features(shapes, dtype, seams, continued, rounded),
+        extended=_build_extended_hulls(shapes, dtype, continued, rounded) if continued else None,
         is_zonotope=zonotopes,
     )
 
@@ -132,6 +145,11 @@ def _describe_hull(shape: Shape) -> _HullRow:
         "directions": shape.edge_directions @ turn,
         "half_lengths": None if generators is None else np.linalg.norm(generators, axis=1),
     }
+
+
+def is_small_zonotope(shape: Shape) -> bool:
+    """Whether a polytope is a zonotope with few edge directions."""
+    return shape.generators is not None and len(shape.edge_directions) <= MOST_DIRECTIONS
 
 
 def _pair_opposite_faces(row: _HullRow) -> _HullRow:
@@ -209,13 +227,15 @@ def stack_seams(seams: SeamRows, dtype: DTypeLike) -> Vector:
 
 
 def _build_extended_hulls(
-    shapes: Sequence[Shape], dtype: DTypeLike, continued: PartContinuations
+    shapes: Sequence[Shape], dtype: DTypeLike, continued: PartContinuations, rounded: bool
 ) -> Hulls:
     """``Hulls.extended`` of shapes, for contacts with spheres."""
     plain = [
         dataclasses.replace(shape, generators=None) for shape in _extend_shapes(shapes, continued)
     ]
-    return build_hull_table(plain, dtype).replace(face_loops=None, open_edges=None, features=None)
+    return build_hull_table(plain, dtype, rounded=rounded).replace(
+        face_loops=None, open_edges=None, features=None
+    )
 
 
 def _extend_shapes(shapes: Sequence[Shape], continued: PartContinuations) -> list[Shape]:
@@ -233,10 +253,11 @@ def _build_features(
     dtype: DTypeLike,
     seams: SeamRows | None,
     continued: PartContinuations | None,
+    rounded: bool,
 ) -> PolytopeFeatures:
     """``Hulls.features`` of shapes."""
     if not seams and not continued:
-        return feature_table.build_feature_table(shapes, dtype)
+        return feature_table.build_feature_table(shapes, dtype, rounded=rounded)
     are_parts, continued = bool(continued), continued or [None] * len(shapes)
     whole = _extend_shapes(shapes, continued)
     if seams:
@@ -256,7 +277,7 @@ def _build_features(
     ]
     is_bent = any(of.is_bent for of in seams or ())
     return feature_table.build_feature_table(
-        whole, dtype, shapes, inner if any(map(any, inner)) else None, are_parts, is_bent
+        whole, dtype, shapes, inner if any(map(any, inner)) else None, are_parts, is_bent, rounded
     )
 
 

@@ -73,12 +73,15 @@ def build_part_arrays(solids: list[list[PiecePart]]) -> Parts:
 
 
 def build_body_hulls(
-    solids: list[list[PiecePart]], plates: list[Shape], seams: list[PanelSeams] | None
+    solids: list[list[PiecePart]],
+    plates: list[Shape],
+    seams: list[PanelSeams] | None,
+    rounded: bool = False,
 ) -> tuple[Hulls | None, np.ndarray]:
     """The hull table of parts and panels (None if all parts are spheres), and the table row of each
     body.
 
-    seams: of each panel, as ``hull_table.build_hull_table`` takes them.
+    seams: of each panel, as ``hull_table.build_hull_table`` takes them, as rounded.
     """
     rows: dict[int, int] = {}
     distinct: list[PiecePart] = []
@@ -96,5 +99,5 @@ def build_body_hulls(
         seams = [NO_SEAMS] * len(distinct) + seams
     more = [*[solid.continued for solid in distinct], *[None] * len(plates)]
     return hull_table.build_hull_table(
-        every, np.float64, seams, more if any(more) else None
+        every, np.float64, seams, more if any(more) else None, rounded
     ), np.array(index, int)

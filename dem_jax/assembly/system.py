@@ -20,6 +20,7 @@ from dem_jax.assembly.capacities import (
     estimate_partition,
     estimate_row_capacity,
 )
+from dem_jax.assembly.contact_law import extend_to_class
 from dem_jax.assembly.dtype_cast import cast_array, cast_tree, reuse_array
 from dem_jax.assembly.ensemble_capacity import (
     EnsembleCapacity,
@@ -182,6 +183,9 @@ def assemble_system(
         (made, plates, seams),
     )
     has_hulls = any(shape.radius == 0 for shape in made)
+    if room is not None and room.rounded:
+        of_class = extend_to_class(scene, law, arrays.materials, has_hulls)
+        arrays = replace(arrays, law=of_class[0], materials=of_class[1])
     is_general = hulls is not None and hulls.features is not None
     kept = partial(reuse_array, reuse)
     system = System(
@@ -207,7 +211,7 @@ def assemble_system(
         row_capacity=estimate_row_capacity(convex, scene.run.broad_phase),
         partition=estimate_partition(convex, scene.run.broad_phase, domain),
         has_hulls=has_hulls,
-        alike=find_alike_kinds(goods),
+        alike=find_alike_kinds(goods) if room is None else room.alike,
         present=None if room is None else kept("present", np.arange(len(made)) < len(own), bool),
         escape_stops=scene.run.on_escape == "stop",
         has_rotation=has_hulls or _turns(arrays),
@@ -298,7 +302,9 @@ def _build_hulls(
     """
     solids = list_piece_parts(made)
     more = pad_polytopes(solids, room, made) if room else []
-    table, rows = build_body_hulls([*solids, more], plates, seams)
+    table, rows = build_body_hulls(
+        [*solids, more], plates, seams, room is not None and room.rounded
+    )
     count = sum(map(len, solids))
     rows = np.concatenate([rows[:count], rows[count + len(more) :]])
     convex = [solid.shape for row in solids for solid in row]

@@ -77,9 +77,9 @@ class Incidence(NamedTuple):
     """The contacts of each piece."""
 
     load_columns: Array  # [touching, N] int32: of State
-    max_contacts: Array  # int32: of any piece
+    max_contacts: Array  # [tiles] int32: of any piece of each tile
     wall_contacts: Array  # [2, touching, N] int32: of Scratch
-    max_wall_contacts: Array  # int32
+    max_wall_contacts: Array  # [tiles] int32
 
 
 def rebuild_neighbour_list(
@@ -104,7 +104,7 @@ def rebuild_neighbour_list(
     incidence = find_incidence(system, tables)
     guard = guard.replace(
         needed={kind: one.needed for kind, one in found.items()},
-        touching=jnp.maximum(guard.touching, incidence.max_contacts),
+        touching=jnp.maximum(guard.touching, jnp.max(incidence.max_contacts)),
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
     filled = {kind: one.filled for kind, one in found.items()}
@@ -407,7 +407,8 @@ def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence
     pieces, number = system.pieces.mass.shape[0], system.parts.count
     room = jnp.arange(system.touching, dtype=jnp.int32)[:, None]
     if not tables:
-        none, zero = jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
+        none = jnp.zeros((system.touching, pieces), jnp.int32)
+        zero = jnp.zeros((pieces // tiling.piece_tile_size(system),), jnp.int32)
         return Incidence(none, zero, jnp.stack([none, none]), zero)
     part = jnp.concatenate(
         [of for t in tables.values() for of in (t.b, jnp.where(t.a < number, t.a, EMPTY))]
@@ -424,11 +425,12 @@ def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence
     group = jnp.zeros_like(of_walls)
     if system.walls.group.shape[0]:
         group = system.walls.group[jnp.maximum(jnp.append(panel, EMPTY), 0)[of_walls]]
+    most = lambda count: jnp.max(count.reshape(-1, tiling.piece_tile_size(system)), axis=1)
     return Incidence(
         load_columns=jnp.where(room < end - begin, found, columns),
-        max_contacts=jnp.max(end - begin),
+        max_contacts=most(end - begin),
         wall_contacts=jnp.stack([of_walls, group]),
-        max_wall_contacts=jnp.minimum(jnp.max(middle - begin), system.touching),
+        max_wall_contacts=jnp.minimum(most(middle - begin), system.touching),
     )
 
 

@@ -26,6 +26,7 @@ from dem_jax.cli import (
     scenes,
     study,
     vtk,
+    warm,
     weigh,
 )
 from dem_jax.cli.arguments import BAD_INPUT, Parser, join_lines
@@ -44,6 +45,7 @@ COMMANDS = (
     export,
     weigh,
     app,
+    warm,
 )
 FORMER_COMMANDS = (scenes, products, buckets, render, gltf, vtk, collisions, posterior)
 RUN_FAILED, INTERRUPTED = 1, 130

@@ -530,8 +530,8 @@ def _sum_piece_loads(system: System, state: State) -> Array:
     Gathers and sums are bitwise reproducible, even on a GPU, where scatter additions are not.
     """
     loads = state.scratch.loads
-    rows = lambda k: take_columns(loads, state.incidence[k])[:6]
-    return _sum_over_contacts(system, rows, state.scratch.max_contacts)
+    rows = lambda column: take_columns(loads, column)[:6]
+    return _sum_over_contacts(system, rows, state.incidence, state.scratch.max_contacts)
 
 
 def _sum_wall_loads(
@@ -543,12 +543,12 @@ def _sum_wall_loads(
     number = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
     scratch = state.scratch
 
-    def wall_rows(k: Array) -> Array:
-        column, group = scratch.wall_contacts[0, k], scratch.wall_contacts[1, k]
+    def wall_rows(contacts: Array) -> Array:
+        column, group = contacts
         return jnp.where(group[None] == number, -take_columns(scratch.loads, column)[:, None], 0)
 
-    load = _sum_over_contacts(system, wall_rows, scratch.max_wall_contacts)  # [7, G, N], the torque
-    # about each piece's centre
+    # [7, G, N], the torque about each piece's centre
+    load = _sum_over_contacts(system, wall_rows, scratch.wall_contacts, scratch.max_wall_contacts)
     place = vector.map_components(lambda c: c[None], vector.unstack_vector(state.position))
     about_origin = vector.add(
         vector.cross(place, vector.unstack_vector(load[:3])), vector.unstack_vector(load[3:6])
@@ -563,13 +563,35 @@ def _sum_wall_loads(
     return WallLoads(force, jnp.stack(torque)), batch_reduction.sum_per_run(system, load[6])
 
 
-def _sum_over_contacts(system: System, rows: Callable[[Array], Array], count: Array) -> Array:
-    """Sum of ``rows(k)`` over the first ``count`` contacts of each piece. If slots are not tiled,
-    over all contacts, which gives the same result and is differentiable.
+def _sum_over_contacts(
+    system: System, rows: Callable[[Array], Array], contacts: Array, count: Array
+) -> Array:
+    """Sum over the contacts of each piece, tile by tile. If slots are not tiled, over all contacts,
+    which gives the same result and is differentiable.
+
+    Args:
+        system: system of the pieces.
+        rows: function of a contact of each of some pieces, [.., n], to what is summed, [.., n].
+        contacts: [.., touching, N], the contacts of each piece.
+        count: [tiles] int32: most contacts of a piece in each tile.
     """
     if not system.slot_block:
-        return jnp.sum(jax.vmap(rows)(jnp.arange(system.touching, dtype=jnp.int32)), axis=0)
-    form = jax.eval_shape(rows, count)
+        return jnp.sum(jax.vmap(rows)(jnp.moveaxis(contacts, -2, 0)), axis=0)
+    size = contacts.shape[-1] // count.shape[0]
+    form = jax.eval_shape(rows, jax.ShapeDtypeStruct((*contacts.shape[:-2], size), contacts.dtype))
+
+    def sum_tile(tile: Array | int) -> Array:
+        def add(k: Array, total: Array) -> Array:
+            row = jax.lax.dynamic_index_in_dim(contacts, k, contacts.ndim - 2, keepdims=False)
+            return total + rows(slice_tile(row, tile, size))
+
+        return jax.lax.fori_loop(0, count[tile], add, jnp.zeros(form.shape, form.dtype))
+
+    if count.shape[0] == 1:
+        return sum_tile(0)
     return jax.lax.fori_loop(
-        0, count, lambda k, total: total + rows(k), jnp.zeros(form.shape, form.dtype)
+        0,
+        count.shape[0],
+        lambda tile, total: update_tile(total, sum_tile(tile), tile, size),
+        jnp.zeros((*form.shape[:-1], contacts.shape[-1]), form.dtype),
     )

@@ -62,21 +62,32 @@ def execute_chunk(
 ) -> ComputedChunk:
     """Compute ``count`` samples from sample ``first`` on. known: cached results of an ensemble, see
     ``KnownResults``."""
+    return job.executor(_describe_chunk(job, system, state, first, count, shown, known))
+
+
+def _describe_chunk(
+    job: Job,
+    system: System,
+    state: State,
+    first: int,
+    count: int,
+    shown: Progress | None = None,
+    known: KnownResults | None = None,
+) -> Chunk:
+    """The input of ``execute_chunk``."""
     every = job.samples_per_frame or 1
     times = ChunkTiming(np.int32(count), np.int32(every), np.int32(first % every))
     compiling = shown.show_compiling if shown else lambda: None
-    return job.executor(
-        Chunk(
-            system,
-            state,
-            times,
-            job.frame_capacity,
-            job.is_double,
-            job.clock,
-            compiling,
-            known,
-            job.sweep,
-        )
+    return Chunk(
+        system,
+        state,
+        times,
+        job.frame_capacity,
+        job.is_double,
+        job.clock,
+        compiling,
+        known,
+        job.sweep,
     )
 
 
@@ -90,6 +101,20 @@ def compile_program(job: Job) -> None:
 def run_single(chunk: Chunk) -> ComputedChunk:
     """Compute a single run."""
     return call_program(programs.get_executable(chunk, stepping.run_chunk), chunk)
+
+
+def find_program_file(job: Job) -> str | None:
+    """Name of the file of the program that a single run begins with; None if none is kept."""
+    with jax.enable_x64(job.is_double):
+        chunk = _describe_chunk(job, job.system, job.state, 0, 1)
+        return programs.find_file(chunk, stepping.run_chunk)
+
+
+def compile_single_run(job: Job) -> None:
+    """Compile the program that a single run begins with, unless it is stored."""
+    with jax.enable_x64(job.is_double):
+        chunk = _describe_chunk(job, job.system, job.state, 0, 1)
+        programs.get_executable(chunk, stepping.run_chunk)
 
 
 def run_threaded(chunk: Chunk) -> ComputedChunk:

@@ -227,7 +227,7 @@ def _continue_job(
             system, state = restart_state.match_quantities(job.system, header), job.state
             if not arrays:  # it was stopped before its first flush
                 return replace(job, system=system)
-            system, state = restart_state.unpack_state(system, state, arrays)
+            system, state = restart_state.unpack_state(system, state, arrays, job.piece_count)
             restart_state.check_restart_step(state, job.state, job.steps_per_run, samples)
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error

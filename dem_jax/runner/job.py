@@ -1,10 +1,12 @@
 """A run, or an ensemble, that is set up."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from dem_jax import assembly
+from dem_jax.dynamics.presence import count_own_pieces
 from dem_jax.runner import multihost, stop_criterion
 from dem_jax.runner.chunk import CHUNK_FRAMES, CHUNK_SAMPLES, Clock, Executor
 from dem_jax.runner.parameter_sweep import ParameterSweep
@@ -114,6 +116,13 @@ class Job:
         """The scene of a run."""
         return self.scene if self.sweep is None else self.sweep.scene_for_run(self.scene, run)
 
+    @cached_property
+    def piece_count(self) -> int:
+        """Largest number of pieces of any run, without padding."""
+        return count_own_pieces(
+            [self.system] if self.sweep is None else [built.system for built in self.sweep.built]
+        )
+
     @property
     def samples_between_exchanges(self) -> int:
         """Samples between exchanges of pieces, a multiple of those between rebuilds."""
@@ -148,7 +157,7 @@ class Job:
 
     @property
     def _time_per_sample(self) -> float:
-        bodies = self.state.position.shape[-1] * (self.runs or 1)
+        bodies = self.piece_count * (self.runs or 1)
         return self.steps_per_sample * (STEP_TIME + BODY_TIME * bodies)
 
     @property

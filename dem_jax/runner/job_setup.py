@@ -10,9 +10,14 @@ import numpy as np
 
 from dem_jax import assembly, xla_flags
 from dem_jax.assembly import bucket_fill, precision_check, sampling_check
-from dem_jax.assembly.ensemble_capacity import EnsembleCapacity, find_ensemble_capacity
+from dem_jax.assembly.ensemble_capacity import (
+    EnsembleCapacity,
+    find_ensemble_capacity,
+    find_size_class,
+)
 from dem_jax.broad_phase import overflow_recovery
 from dem_jax.contact_laws import ContactLaw
+from dem_jax.dynamics import interleaved_batch
 from dem_jax.dynamics.quantity import Quantity, validate_quantities
 from dem_jax.errors import SceneError
 from dem_jax.narrow_phase.contact_geometry import has_feature_cache
@@ -42,7 +47,7 @@ def prepare_job(
 
     Raises SceneError, and ValueError for two quantities of one name.
     """
-    seeds = [validate_seed(seed) for seed in seeds]
+    seeds, quantities = [validate_seed(seed) for seed in seeds], tuple(quantities)
     xla_flags.set_loop_flags(unrolled=runs is not None)
     xla_flags.check_platform()
     written = scene if isinstance(scene, Scene) else load_scene(scene)
@@ -54,8 +59,7 @@ def prepare_job(
         scenes = parameter_sweep.build_run_scenes(scene, parameters, len(seeds))
         distinct = {id(s): s for s in scenes}
         reuse = assembly.AssemblyCache()
-        room = find_ensemble_capacity(list(distinct.values()), reuse) if len(distinct) > 1 else None
-        each = {key: assemble_scene(s, seeds[0], law, reuse, room) for key, s in distinct.items()}
+        each = _assemble_scenes(distinct, seeds[0], runs, law, bool(quantities), reuse)
         built = [each[id(s)] for s in scenes]
         different, system = (
             parameter_sweep.build_sweep(scene, built, parameters)
@@ -98,6 +102,34 @@ def prepare_job(
         law is not None,
         notes=notes,
     )
+
+
+def _assemble_scenes(
+    scenes: dict[int, Scene],
+    seed: int,
+    runs: int | None,
+    law: ContactLaw | None,
+    has_quantities: bool,
+    reuse: assembly.AssemblyCache,
+) -> dict[int, assembly.AssembledSystem]:
+    """Assemble the scenes of a run or an ensemble for one program.
+
+    Their pieces are filled up to a size class in single runs and in runs in threads, where pieces
+    outside cost next to nothing: not in batches of runs (``dynamics.interleaved_batch``), not on
+    other devices than CPUs, which compute all slots, and not with quantities and laws of the user,
+    which may count pieces.
+    """
+    rows = list(scenes.values())
+    make = lambda room: {k: assemble_scene(s, seed, law, reuse, room) for k, s in scenes.items()}
+    if has_quantities or law is not None or jax.default_backend() != "cpu":
+        return make(find_ensemble_capacity(rows, reuse) if len(rows) > 1 else None)
+    if runs is not None and runs >= interleaved_batch.RUNS_AT_ONCE and len(rows) == 1:
+        made = make(None)
+        (one,) = made.values()
+        system = one.system.replace(slot_block=choose_slot_block())
+        if interleaved_batch.is_batch_worthwhile(system, runs):
+            return made
+    return make(find_size_class(rows, reuse))
 
 
 def validate_seed(seed: Any) -> int:

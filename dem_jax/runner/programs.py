@@ -51,23 +51,32 @@ def get_executable(
     return found
 
 
+def find_file(chunk: Chunk, run_chunk: RunChunk) -> str | None:
+    """Name of the file in which the program of a chunk is kept (``program_store``); None if it is
+    not kept. On other devices than CPUs programs are left to JAX's own cache.
+    """
+    backend = jax.default_backend()
+    if backend != "cpu":
+        return None
+    options = xla_flags.supported_options(backend, needs_fast_compile(chunk.system))
+    loop = f"{run_chunk.__module__}.{run_chunk.__qualname__}"
+    arguments = chunk.system, chunk.state, *chunk.times
+    return program_store.find_name("program", arguments, loop, options, chunk.frames)
+
+
 def _load_or_compile(
     chunk: Chunk, arguments: tuple[Any, ...], run_chunk: RunChunk, mesh: Mesh | None
 ) -> Callable[..., Any]:
-    """The program of a chunk, from its file if there is one. Programs for several devices or other
-    devices than CPUs are left to JAX's own cache.
+    """The program of a chunk, from its file if there is one. Programs for several devices are left
+    to JAX's own cache.
     """
-    backend = jax.default_backend()
-    light = mesh is None and needs_fast_compile(chunk.system)
-    function = partial(_call_run_chunk, run_chunk, chunk.frames)
-    name = None
-    if mesh is None and backend == "cpu":
-        options = xla_flags.supported_options(backend, light)
-        loop = f"{run_chunk.__module__}.{run_chunk.__qualname__}"
-        name = program_store.find_name("program", arguments, loop, options, chunk.frames)
+    name = find_file(chunk, run_chunk) if mesh is None else None
     found = program_store.load(name, partial(_read_program, jax.tree.structure((arguments, {}))))
     if found is not None:
         return found
+    function = partial(_call_run_chunk, run_chunk, chunk.frames)
+    backend = jax.default_backend()
+    light = mesh is None and needs_fast_compile(chunk.system)
     chunk.compiling()
     shared = function if mesh is None else _shard_function(function, mesh, chunk)
     with xla_flags.pause_garbage_collection():

@@ -17,7 +17,7 @@ from dem_jax.runner.chunk import take_runs
 from dem_jax.runner.chunk_result import ChunkResult
 from dem_jax.runner.job import Job
 from dem_jax.scene.material_properties import build_material_table
-from dem_jax.types import SETTLED_SPEED
+from dem_jax.types import SETTLED_SPEED, Sample, System
 
 
 def build_header(job: Job) -> run_files.RunHeader:
@@ -31,10 +31,9 @@ def build_header(job: Job) -> run_files.RunHeader:
     if job.part is not None:
         own["part"] = asdict(job.part)
     own["piece_masses"] = list_piece_masses(job)
-    if job.system.present is not None:
-        own["piece_counts"] = [
-            len(job.built_for_run(k).piece_set.shapes) for k in range(job.runs or 1)
-        ]
+    counts = [len(job.built_for_run(k).piece_set.shapes) for k in range(job.runs or 1)]
+    if len(set(counts)) > 1:
+        own["piece_counts"] = counts
     return run_files.RunHeader(
         scene=scene.to_toml(),
         seed=job.seeds[0] if job.runs is None else job.seeds,
@@ -45,7 +44,7 @@ def build_header(job: Job) -> run_files.RunHeader:
         gravity=scene.run.gravity,
         groups=tuple(name for name, _ in job.system.walls.reports),
         blocks=job.system.blocks,
-        piece_count=job.state.position.shape[-1],
+        piece_count=job.piece_count,
         run_count=job.runs,
         info={
             "step": str(step),
@@ -88,10 +87,23 @@ def select_new_rows(
     old = min(max(0, job.samples_kept - span.first), count)
     number = np.arange(span.first + old, span.first + count)
     rows = jax.tree.map(lambda x: x[(*run_axis, slice(old, count))], span.samples)
+    rows = _without_padding(job, span.system, rows)
     samples = series.series_from_samples(
         span.system, rows, (number + 1) * job.scene.run.sample_interval
     )
     return samples if len(number) else {}, _select_new_frames(job, span, count, run_axis)
+
+
+def _without_padding(job: Job, system: System, samples: Sample) -> Sample:
+    """The samples, with the job's own pieces along axes of pieces."""
+    own = {}
+    for quantity in series.list_stored_quantities(system):
+        values = samples.values[quantity.name]
+        for place, name in enumerate(quantity.axis_names, 1):  # the last axis is the first here
+            if name == "piece":
+                values = np.take(values, np.arange(job.piece_count), axis=-place)
+        own[quantity.name] = values
+    return samples.replace(**own)
 
 
 def _select_new_frames(
@@ -112,13 +124,13 @@ def _select_new_frames(
             np.concatenate([np.expand_dims(release, -3), poses], axis=-3),
         )
     new = number >= job.frames_kept
-    poses = poses[(*run_axis, new)]
+    poses = poses[(*run_axis, new)][..., : job.piece_count]
     time_of = number[new] * (job.samples_per_frame * job.scene.run.sample_interval)
     frames = (
         job.built.frames
         if job.sweep is None
         else np.stack([built.frames for built in job.sweep.built])
-    )
+    )[..., : job.piece_count, :]
     return series.frames_from_poses(poses, frames, time_of) if new.any() else None
 
 
@@ -195,6 +207,6 @@ def choose_restart_state(job: Job, span: ChunkResult) -> dict[str, np.ndarray] |
         state, slow = span.start, job.slow
     else:
         return None
-    return restart_state.pack_state(span.system, state) | (
+    return restart_state.pack_state(span.system, state, job.piece_count) | (
         {"slow": np.array(slow)} if job.stop_rule else {}
     )

@@ -16,15 +16,21 @@ from dem_jax.dynamics.standard_quantities import QUANTITIES
 from dem_jax.errors import RecordError
 from dem_jax.io import series
 from dem_jax.io.header import RunHeader, StoredQuantity
+from dem_jax.math.compaction import EMPTY
 from dem_jax.types import State, System
 
 LEAST_CAPACITY = 8  # pairs: least capacity in files of former versions, even for one pair
+PIECE_PATHS = ("motion/", "collisions/load", "collisions/place")  # arrays with an axis of pieces
 OPTIONAL_PATHS = ("motion/orientation_rest",)  # missing in older files, where it was 0
 
 
-def pack_state(system: System, state: State) -> dict[str, np.ndarray]:
-    """path -> array of the state, of the skin and of the capacities."""
+def pack_state(system: System, state: State, pieces: int) -> dict[str, np.ndarray]:
+    """path -> array of the state, of the skin and of the capacities. pieces: number of pieces
+    without padding, which is not saved.
+    """
     out = {path: np.asarray(leaf) for path, leaf in _list_leaves(state)[0]}
+    if pieces < system.pieces.mass.shape[0]:
+        out = _remove_padding(system, out, pieces)
     for kind, candidates, slots in system.capacity:
         out[f"capacity/{kind}"] = np.array([candidates, slots], np.int32)
     for name in ("touching", "row_capacity"):
@@ -37,10 +43,10 @@ def pack_state(system: System, state: State) -> dict[str, np.ndarray]:
 
 
 def unpack_state(
-    system: System, state: State, arrays: dict[str, np.ndarray]
+    system: System, state: State, arrays: dict[str, np.ndarray], pieces: int
 ) -> tuple[System, State]:
     """System and state that ``pack_state`` was given; system, state: those that the scene begins
-    with.
+    with; pieces: number of pieces without padding.
 
     Raises RecordError for arrays that are missing or have another shape: the file is damaged or has
     another version.
@@ -72,6 +78,9 @@ def unpack_state(
     system = system.replace(skin=jnp.asarray(_read_skin(system, arrays)))
     if system.partition:
         system = system.replace(partition=_read_partition(system, arrays))
+    is_padded = pieces < system.pieces.mass.shape[0]
+    if is_padded:
+        arrays = _restore_padding(system, state, arrays, pieces)
     named, structure = _list_leaves(state)
     leaves = []
     for path, leaf in named:
@@ -85,9 +94,63 @@ def unpack_state(
             raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
-    return system, kept.replace(
-        scratch=state.scratch, ledger=kept.ledger.replace(peak=state.ledger.peak)
-    )
+    kept = kept.replace(scratch=state.scratch, ledger=kept.ledger.replace(peak=state.ledger.peak))
+    return system, overflow_recovery.with_empty_scratch(system, kept) if is_padded else kept
+
+
+def _remove_padding(
+    system: System, arrays: dict[str, np.ndarray], pieces: int
+) -> dict[str, np.ndarray]:
+    """The arrays without the pieces outside the scene and without free slots, numbered as in a scene
+    of these pieces. The incidence follows from the contacts.
+    """
+    parts, out = _count_own_parts(system, pieces), {}
+    for path, array in arrays.items():
+        if path == "incidence":
+            continue
+        if path.startswith("contacts/"):
+            kind = path.split("/")[1]
+            most = int((arrays[f"contacts/{kind}/a"] >= 0).sum(axis=-1).max(initial=0))
+            array = array[..., :most]
+            if path == f"contacts/{kind}/a":  # panels are numbered after parts
+                array = np.where(
+                    array >= system.parts.count, array - system.parts.count + parts, array
+                )
+        elif path.startswith(PIECE_PATHS):
+            array = array[..., :pieces]
+        out[path] = array
+    return out
+
+
+def _restore_padding(
+    system: System, state: State, arrays: dict[str, np.ndarray], pieces: int
+) -> dict[str, np.ndarray]:
+    """The arrays of ``_remove_padding`` with the pieces outside, as in the first state, and free
+    slots. Arrays of other forms are left as they are.
+    """
+    parts, out = _count_own_parts(system, pieces), dict(arrays)
+    for path, leaf in _list_leaves(state)[0]:
+        array = arrays.get(path)
+        if path == "incidence":
+            out[path] = np.asarray(leaf)  # until it is found from the contacts
+        elif array is None or not leaf.ndim or array.ndim != leaf.ndim:
+            continue
+        elif path.startswith("contacts/") and array.shape[-1] <= leaf.shape[-1]:
+            is_body = path.endswith(("/a", "/b"))
+            if path.endswith("/a"):
+                array = np.where(array >= parts, array - parts + system.parts.count, array)
+            more = [(0, 0)] * (array.ndim - 1) + [(0, leaf.shape[-1] - array.shape[-1])]
+            out[path] = np.pad(array, more, constant_values=EMPTY if is_body else 0)
+        elif path.startswith(PIECE_PATHS) and array.shape == (*leaf.shape[:-1], pieces):
+            rest = np.asarray(leaf)[..., pieces:].astype(array.dtype)
+            out[path] = np.concatenate([array, rest], axis=-1)
+    return out
+
+
+def _count_own_parts(system: System, pieces: int) -> int:
+    """Number of convex parts of the first pieces."""
+    owner = system.parts.owner
+    return pieces if owner is None else int(np.sum(np.asarray(owner) < pieces))
 
 
 def check_restart_step(

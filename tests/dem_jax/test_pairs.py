@@ -83,7 +83,10 @@ def test_a_restart_keeps_the_room_of_the_list():
         partition=job.system.partition._replace(pairs=777, cell=41, reach=0.0123)
     )
     system, _ = restart_state.unpack_state(
-        job.system, job.state, restart_state.pack_state(larger, job.state)
+        job.system,
+        job.state,
+        restart_state.pack_state(larger, job.state, job.piece_count),
+        job.piece_count,
     )
     assert system.partition == larger.partition
 
