@@ -1,6 +1,6 @@
 """How many programs everyday drops need, and what the sizes of classes cost.
 
-``python -m benchmarks.programs`` (``--quick``: fewer steps, one product). Products x weights x
+``python -m benchmarks.programs`` (``--quick``: fewer steps, one product; ``--count``: no steps). Products x weights x
 buckets are assembled, not compiled. Steps are timed by the processor time of this process, exact
 sizes and those of the class alternating.
 """
@@ -82,7 +82,9 @@ def time_steps(product, grams, samples, repeats):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args().quick
+    parser.add_argument("--count", action="store_true", help="time no steps, compile nothing")
+    asked = parser.parse_args()
+    quick, timed = asked.quick, () if asked.count else TIMED[:1] if asked.quick else TIMED
     products = list_products()[:4] if quick else list_products()
     counted, listed = [], []
     for sizes in ("exact", "classes"):
@@ -94,7 +96,7 @@ def main() -> None:
                 of = sorted({f"{name} {grams} g" for name, grams, _ in drops})
                 listed.append((pieces, len(drops), ", ".join(of)))
     rows = []
-    for product, grams in TIMED[:1] if quick else TIMED:
+    for product, grams in timed:
         times, sizes = time_steps(
             product, grams, SAMPLES // (5 if quick else 1), 3 if quick else REPEATS
         )
@@ -107,26 +109,21 @@ def main() -> None:
         report.environment(),
         f"Scene weigh-bucket with {len(products)} products x {len(GRAMS)} weights x {len(BUCKETS)} buckets.",
         report.table(("sizes", "scenes", "programs"), counted),
-        "## A step with the sizes of the class, against exact ones",
-        "Processor time, alternating; median (lowest to highest).",
-        report.table(
-            (
-                "portion",
-                "pieces",
-                "of the class",
-                "exact (µs)",
-                "class (µs)",
-                "ratio of medians",
-                "of minima",
-            ),
-            rows,
-        ),
+    ]
+    if rows:
+        head = ("portion", "pieces", "of the class", "exact (µs)", "class (µs)")
+        text += [
+            "## A step with the sizes of the class, against exact ones",
+            "Processor time, alternating; median (lowest to highest).",
+            report.table((*head, "ratio of medians", "of minima"), rows),
+        ]
+    text += [
         "## Which drops share a program",
         report.table(("pieces", "scenes", "drops"), sorted(listed)),
     ]
     path = report.place("programs.md", quick)
     path.write_text("\n\n".join(text) + "\n", encoding="utf-8")
-    print("\n\n".join(text[2:6]), f"\n\nwrote {path}")
+    print("\n\n".join(text[:-2]), f"\n\nwrote {path}")
 
 
 if __name__ == "__main__":

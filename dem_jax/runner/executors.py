@@ -110,13 +110,6 @@ def find_program_file(job: Job) -> str | None:
         return programs.find_file(chunk, stepping.run_chunk)
 
 
-def compile_single_run(job: Job) -> None:
-    """Compile the program that a single run begins with, unless it is stored."""
-    with jax.enable_x64(job.is_double):
-        chunk = _describe_chunk(job, job.system, job.state, 0, 1)
-        programs.get_executable(chunk, stepping.run_chunk)
-
-
 def run_threaded(chunk: Chunk) -> ComputedChunk:
     """Compute the runs of an ensemble on all cores of a CPU, each as a single run.
 

@@ -179,7 +179,8 @@ def count_moving(job: Job, span: ChunkResult) -> dict[str, Any]:
     systems = [span.system] if job.sweep is None else [built.system for built in job.sweep.built]
     present = find_present_per_run(systems, state)
     moves = np.linalg.norm(np.asarray(state.velocity, np.float64), axis=-2) >= SETTLED_SPEED
-    moves = moves if present is None else moves & present.reshape(moves.shape)
+    if present is not None:
+        moves = moves & (present if moves.ndim > 1 else present[0])
     position = np.asarray(state.position)
     # [R, 3, B]
     low, high = (

@@ -78,8 +78,9 @@ def unpack_state(
     system = system.replace(skin=jnp.asarray(_read_skin(system, arrays)))
     if system.partition:
         system = system.replace(partition=_read_partition(system, arrays))
-    is_padded = pieces < system.pieces.mass.shape[0]
-    if is_padded:
+    # without padding, as saved, or with one of its own
+    is_filled_up = "incidence" not in arrays or pieces < system.pieces.mass.shape[0]
+    if is_filled_up:
         arrays = _restore_padding(system, state, arrays, pieces)
     named, structure = _list_leaves(state)
     leaves = []
@@ -95,7 +96,7 @@ def unpack_state(
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
     kept = kept.replace(scratch=state.scratch, ledger=kept.ledger.replace(peak=state.ledger.peak))
-    return system, overflow_recovery.with_empty_scratch(system, kept) if is_padded else kept
+    return system, overflow_recovery.with_empty_scratch(system, kept) if is_filled_up else kept
 
 
 def _remove_padding(

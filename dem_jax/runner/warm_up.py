@@ -10,7 +10,7 @@ from typing import Any
 
 from dem_jax import program_store
 from dem_jax.errors import SceneError
-from dem_jax.runner.executors import compile_single_run, find_program_file
+from dem_jax.runner.executors import compile_program, find_program_file
 from dem_jax.runner.job_setup import prepare_job
 from dem_jax.scene import load_scene
 
@@ -60,4 +60,4 @@ def compile_programs(
 
 
 def _compile_program(scene: str, changes: Changes) -> None:
-    compile_single_run(prepare_job(load_scene(scene, changes), (0,), None))
+    compile_program(prepare_job(load_scene(scene, changes), (0,), None))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dem_jax.assembly import AssembledSystem, AssemblyCache, assemble_system, inline_files
+from dem_jax.assembly.ensemble_capacity import find_size_class
 from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
 from dem_jax.dynamics.interleaved_batch import RUNS_AT_ONCE
 from dem_jax.errors import RecordError, SceneError, SimulationError
