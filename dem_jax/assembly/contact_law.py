@@ -53,7 +53,9 @@ def extend_to_class(
         own = law.law if isinstance(law, Rolling) else law
         if not isinstance(own, Cohesive):
             cohesion = scene.contact.cohesion
-            own = Cohesive(own, _host_number(cohesion.stiffness), _host_number(cohesion.range))
+            own = Cohesive(
+                own, _host_number(cohesion.stiffness), _host_number(cohesion.interaction_range)
+            )
         law = Rolling(own)
         none = np.zeros((count, count))
         full = {"pull_off": none, "rolling": none} | full

@@ -16,16 +16,6 @@ def find_present(system: System, state: State) -> Array | None:
     return system.present if state.exchange is None else state.exchange.there
 
 
-def count_own_pieces(systems: Sequence[System]) -> int:
-    """Largest number of pieces of any run, without the padding, which comes last. systems: of each
-    run.
-    """
-    if systems[0].present is None:
-        return systems[0].pieces.mass.shape[0] // systems[0].runs
-    distinct = {id(system.present): system.present for system in systems}
-    return max(int(np.sum(np.asarray(present))) for present in distinct.values())
-
-
 def find_present_per_run(systems: Sequence[System], state: State) -> np.ndarray | None:
     """Flags of the pieces in the scene, [K, N] bool, for a state of K runs or a single one; None:
     all. systems: of each run.

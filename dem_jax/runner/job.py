@@ -1,12 +1,10 @@
 """A run, or an ensemble, that is set up."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
 from dem_jax import assembly
-from dem_jax.dynamics.presence import count_own_pieces
 from dem_jax.runner import multihost, stop_criterion
 from dem_jax.runner.chunk import CHUNK_FRAMES, CHUNK_SAMPLES, Clock, Executor
 from dem_jax.runner.parameter_sweep import ParameterSweep
@@ -42,6 +40,8 @@ class Job:
     system: System
     state: State
     executor: Executor  # how its chunks are computed
+    piece_range: tuple[int, int]  # smallest and largest number of pieces of any run of the whole
+    # ensemble, without padding
     stop_rule: stop_criterion.StopCriterion | None = None  # of run.until_settled
     sweep: ParameterSweep | None = None  # parameters that differ between the runs of an ensemble,
     # besides their seed
@@ -116,12 +116,10 @@ class Job:
         """The scene of a run."""
         return self.scene if self.sweep is None else self.sweep.scene_for_run(self.scene, run)
 
-    @cached_property
+    @property
     def piece_count(self) -> int:
-        """Largest number of pieces of any run, without padding."""
-        return count_own_pieces(
-            [self.system] if self.sweep is None else [built.system for built in self.sweep.built]
-        )
+        """Largest number of pieces of any run of the whole ensemble, without padding."""
+        return self.piece_range[1]
 
     @property
     def samples_between_exchanges(self) -> int:
@@ -180,7 +178,7 @@ class Job:
 def estimate_run_time(built: assembly.AssembledSystem) -> float:
     """Estimated time (s) of a run of a built scene on one core, from settling to its end."""
     steps = built.settling_steps + built.samples * built.step.substeps
-    return steps * (STEP_TIME + BODY_TIME * built.state.position.shape[-1])
+    return steps * (STEP_TIME + BODY_TIME * len(built.piece_set.shapes))
 
 
 def samples_per_block(system: System) -> int:

@@ -89,6 +89,7 @@ def prepare_job(
         executors.choose_executor(system, runs, different is None),
         (*aside, *_list_notes(scene, distinct, each)),
     )
+    counts = [len(b.piece_set.shapes) for b in each.values()]
     return Job(
         scene,
         tuple(seeds),
@@ -97,6 +98,7 @@ def prepare_job(
         system,
         state,
         way,
+        (min(counts), max(counts)),
         rule,
         different,
         law is not None,

@@ -31,9 +31,10 @@ def build_header(job: Job) -> run_files.RunHeader:
     if job.part is not None:
         own["part"] = asdict(job.part)
     own["piece_masses"] = list_piece_masses(job)
-    counts = [len(job.built_for_run(k).piece_set.shapes) for k in range(job.runs or 1)]
-    if len(set(counts)) > 1:
-        own["piece_counts"] = counts
+    if job.piece_range[0] < job.piece_range[1]:
+        own["piece_counts"] = [
+            len(job.built_for_run(k).piece_set.shapes) for k in range(job.runs or 1)
+        ]
     return run_files.RunHeader(
         scene=scene.to_toml(),
         seed=job.seeds[0] if job.runs is None else job.seeds,

@@ -102,8 +102,8 @@ def unpack_state(
 def _remove_padding(
     system: System, arrays: dict[str, np.ndarray], pieces: int
 ) -> dict[str, np.ndarray]:
-    """The arrays without the pieces outside the scene and without free slots, numbered as in a scene
-    of these pieces. The incidence follows from the contacts.
+    """The arrays without the pieces outside the scene and, of a single run, without free slots,
+    numbered as in a scene of these pieces. The incidence follows from the contacts.
     """
     parts, out = _count_own_parts(system, pieces), {}
     for path, array in arrays.items():
@@ -111,8 +111,9 @@ def _remove_padding(
             continue
         if path.startswith("contacts/"):
             kind = path.split("/")[1]
-            most = int((arrays[f"contacts/{kind}/a"] >= 0).sum(axis=-1).max(initial=0))
-            array = array[..., :most]
+            live = arrays[f"contacts/{kind}/a"] >= 0
+            if live.ndim == 1:
+                array = array[..., : int(live.sum())]
             if path == f"contacts/{kind}/a":  # panels are numbered after parts
                 array = np.where(
                     array >= system.parts.count, array - system.parts.count + parts, array

@@ -78,7 +78,8 @@ def list_batches(study: Study) -> Iterator[Batch | FailedDrops]:
     for n, point in enumerate(points):
         try:
             scene = read(base.replace(point))
-            built = assemble_system(scene, study.seed, reuse=reuse)
+            room = find_size_class([scene], reuse)
+            built = assemble_system(scene, study.seed, None, reuse, room)
             forms[n] = (
                 _program_key(scene, built),
                 [point[key] for key in point if parameter_sweep.is_file_key(key)],

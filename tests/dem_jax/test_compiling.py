@@ -22,7 +22,12 @@ from dem_jax.runner.job_setup import choose_slot_block
 from dem_jax.scene import load_scene
 from dem_jax.types import pytree
 
-BASE = {"run.duration": 6e-4, "portion.settling_time": 6e-4, "portion.count": 3}
+BASE = {
+    "run.duration": 6e-4,
+    "portion.settling_time": 6e-4,
+    "portion.count": 3,
+    "run.sizes": "classes",
+}
 
 # Key and value, and whether the time step stays what it was.
 SAME_PROGRAM = {

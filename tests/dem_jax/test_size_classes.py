@@ -9,7 +9,8 @@ import pytest
 import dem_jax
 from dem_jax import assembly
 from dem_jax.assembly.ensemble_capacity import PIECE_CLASSES, find_size_class
-from dem_jax.runner import parameter_sweep, programs
+from dem_jax.runner import parameter_sweep, programs, restart_state
+from dem_jax.runner.job_setup import prepare_job
 from dem_jax.scene import load_scene
 from dem_jax.scene.library import load_product
 
@@ -18,13 +19,13 @@ BALLS = {
         "shape": "sphere", "radius": 0.01, "count": 3, "arrangement": "scattered",
         "region_low": [-0.04, -0.04, 0.0], "region_high": [0.04, 0.04, 0.06],
     },
-    "piece": [], "name": "balls", "run.precision": "f64", "run.duration": 0.03, "run.sample": 2e-5, "run.frames": 7e-4,
+    "piece": [], "name": "balls", "run.precision": "f64", "run.sizes": "classes", "run.duration": 0.03, "run.sample_interval": 2e-5, "run.frame_interval": 7e-4,
 }  # fmt: skip
 NUGGETS = {
     "portion": load_product("nugget", "a test")["portion"] | {
         "count": 2, "arrangement": "scattered", "region_low": [-0.03, -0.03, 0.0], "region_high": [0.03, 0.03, 0.06],
     },
-    "piece": [], "name": "nuggets", "run.precision": "f64", "run.duration": 0.03, "run.sample": 5e-5, "run.frames": 7e-4,
+    "piece": [], "name": "nuggets", "run.precision": "f64", "run.sizes": "classes", "run.duration": 0.03, "run.sample_interval": 5e-5, "run.frame_interval": 7e-4,
 }  # fmt: skip
 
 
@@ -93,14 +94,26 @@ def test_a_run_goes_on_with_the_same_bits(whole, tmp_path):
     gone_on = dem_jax.resume(half, duration=0.03)
     np.testing.assert_array_equal(gone_on.force["plate"], run.force["plate"])
     np.testing.assert_array_equal(gone_on.pieces.position, run.pieces.position)
-    exact = tmp_path / "exact.h5"  # as of a former version
-    dem_jax.simulate(scene_of(BALLS, run__duration=0.02, run__sizes="exact"), seed=3, out=exact)
-    with h5py.File(exact, "a") as file:
-        file.attrs["scene"] = file.attrs["scene"].replace('sizes = "exact"\n', "")
-    gone_on = dem_jax.resume(exact, duration=0.03)
-    np.testing.assert_allclose(
-        gone_on.force["plate"], run.force["plate"], atol=1e-6 * np.abs(run.force["plate"]).max()
+
+
+def test_a_state_of_exact_sizes_is_filled_up():
+    """As of a file of a former version."""
+    exact, filled = (
+        prepare_job(scene_of(BALLS, run__sizes=sizes), (3,), None) for sizes in ("exact", "classes")
     )
+    table = exact.state.contacts["plates"]
+    panel = exact.system.parts.count  # the plate is numbered after the pieces
+    table = table.replace(a=table.a.at[0].set(panel), b=table.b.at[0].set(1))
+    state = exact.state.replace(contacts=exact.state.contacts | {"plates": table})
+    arrays = restart_state.pack_state(exact.system, state, 3)
+    _, found = restart_state.unpack_state(filled.system, filled.state, arrays, 3)
+    assert found.position.shape == filled.state.position.shape == (3, PIECE_CLASSES[0])
+    np.testing.assert_array_equal(found.position, filled.state.position)
+    contacts = found.contacts["plates"]
+    assert contacts.a[:2].tolist() == [filled.system.parts.count, -1] and contacts.b[0] == 1
+    again = restart_state.pack_state(filled.system, found, 3)
+    assert again["contacts/plates/a"].tolist() == [panel]
+    np.testing.assert_array_equal(again["motion/position"], arrays["motion/position"])
 
 
 def test_classes_of_products():
@@ -117,7 +130,9 @@ def test_classes_of_products():
     assert signature("almond", 20) == signature("peanut", 50)
     assert signature("almond", 20) != signature("peanut", 50, "exact")
     assert signature("marshmallow", 9) == signature("toffee", 16) != signature("toffee", 17)
-    many = load_scene("weigh-bucket", {"portion.count": PIECE_CLASSES[-1] + 1})
+    many = load_scene(
+        "weigh-bucket", {"portion.count": PIECE_CLASSES[-1] + 1, "run.sizes": "classes"}
+    )
     assert find_size_class([many], assembly.AssemblyCache()) is None
-    listed = load_scene("plate-drop")
+    listed = load_scene("plate-drop", {"run.sizes": "classes"})
     assert find_size_class([listed], assembly.AssemblyCache()) is None
