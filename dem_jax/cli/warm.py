@@ -33,6 +33,14 @@ def add_command(commands: Commands) -> None:
     made.add_argument(
         "--workers", type=positive_int, metavar="N", help="processes (default: one for each core)"
     )
+    made.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="settings",
+        help="change the scene, such as --set run.sizes=classes",
+    )
     made.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -44,11 +52,13 @@ def warm(args: Args) -> None:
     from tqdm import tqdm
 
     from dem_jax.runner.warm_up import compile_programs, list_missing_programs
+    from dem_jax.scene import parse_setting
     from dem_jax.scene.library import list_products
 
+    changes = dict(parse_setting(text) for text in args.settings)
     names = args.products or list(list_products())
     wanted = [
-        {"product": name, "portion.target_weight": grams / 1000}
+        {"product": name, "portion.target_weight": grams / 1000} | changes
         for name in names
         for grams in args.grams
     ]

@@ -19,13 +19,15 @@ BALLS = {
         "shape": "sphere", "radius": 0.01, "count": 3, "arrangement": "scattered",
         "region_low": [-0.04, -0.04, 0.0], "region_high": [0.04, 0.04, 0.06],
     },
-    "piece": [], "name": "balls", "run.precision": "f64", "run.sizes": "classes", "run.duration": 0.03, "run.sample_interval": 2e-5, "run.frame_interval": 7e-4,
+    "piece": [], "name": "balls", "run.precision": "f64", "run.sizes": "classes",
+    "run.duration": 0.03, "run.sample_interval": 2e-5, "run.frame_interval": 7e-4,
 }  # fmt: skip
 NUGGETS = {
     "portion": load_product("nugget", "a test")["portion"] | {
         "count": 2, "arrangement": "scattered", "region_low": [-0.03, -0.03, 0.0], "region_high": [0.03, 0.03, 0.06],
     },
-    "piece": [], "name": "nuggets", "run.precision": "f64", "run.sizes": "classes", "run.duration": 0.03, "run.sample_interval": 5e-5, "run.frame_interval": 7e-4,
+    "piece": [], "name": "nuggets", "run.precision": "f64", "run.sizes": "classes",
+    "run.duration": 0.03, "run.sample_interval": 5e-5, "run.frame_interval": 7e-4,
 }  # fmt: skip
 
 

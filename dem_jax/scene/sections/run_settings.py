@@ -77,9 +77,9 @@ class RunSettings(Section):
     max_rebuild_interval: int = Field(
         48, ge=1, le=65536, description="most steps for which candidate pairs are kept"
     )
-    sizes: Literal["classes", "exact"] = Field(
-        "classes",
-        description="numbers of pieces and hull features are rounded up to a few classes, which share compiled programs, or exact",
+    sizes: Literal["exact", "classes"] = Field(
+        "exact",
+        description="of arrays; classes: numbers of pieces and hull features are rounded up, so that drops share compiled programs",
     )
     broad_phase: Literal["auto", "all-pairs", "cells", "jax-md"] = Field(
         "auto", description="broad phase; auto: all pairs for few pieces, cells for many"
