@@ -2,8 +2,8 @@
 
 import time
 
-from dem_jax.cli import simulation_options
 from dem_jax.cli.arguments import Args, Commands, create_command, positive_int
+from dem_jax.cluster.compile_cache import use_cache
 from dem_jax.errors import SceneError
 
 GRAMS = (25.0, 50.0, 100.0)  # of a portion
@@ -48,7 +48,7 @@ def warm(args: Args) -> None:
     """Compile what is not stored yet."""
     if bad := [grams for grams in args.grams if not 0 < grams < 1e6]:
         raise SceneError(f"--grams {bad[0]:g}: allowed: numbers above 0 and below 1000000")
-    simulation_options.use_cache()
+    use_cache()
     from tqdm import tqdm
 
     from dem_jax.runner.warm_up import compile_programs, list_missing_programs
@@ -65,7 +65,7 @@ def warm(args: Args) -> None:
     start = time.perf_counter()
     missing, count = list_missing_programs(args.scene, wanted)
     if missing:
-        made = compile_programs(args.scene, missing, simulation_options.use_cache, args.workers)
+        made = compile_programs(args.scene, missing, use_cache, args.workers)
         for _ in tqdm(made, total=len(missing), unit="program", disable=args.quiet):
             pass
     print(

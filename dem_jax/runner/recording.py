@@ -99,7 +99,7 @@ def _without_padding(job: Job, system: System, samples: Sample) -> Sample:
     """The samples, with the job's own pieces along axes of pieces."""
     own = {}
     for quantity in series.list_stored_quantities(system):
-        values = samples.values[quantity.name]
+        values: Any = samples.values[quantity.name]
         for place, name in enumerate(quantity.axis_names, 1):  # the last axis is the first here
             if name == "piece":
                 values = np.take(values, np.arange(job.piece_count), axis=-place)

@@ -49,7 +49,7 @@ def compile_programs(
         prepare: called in each process at first; a function of a module.
         workers: number of processes, by default one for each core.
     """
-    count = workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    count = workers or os.cpu_count() or 1
     with ProcessPoolExecutor(
         min(count, len(changes)), multiprocessing.get_context("spawn"), prepare
     ) as pool:
