@@ -105,27 +105,6 @@ def shown_instant(page):
     return int(page.frame_locator("iframe").locator("canvas").get_attribute("data-frame"))
 
 
-@pytest.mark.long
-def test_a_bucket_is_dragged_and_moved_by_numbers(page):
-    step(page, "Bucket and release")
-    page.locator("iframe[data-shows*=moves]").wait_for()
-    page.frame_locator("iframe").locator("canvas[data-source]").wait_for()
-    page.wait_for_timeout(500)
-    box = page.locator("iframe").bounding_box()
-    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.66 * box["height"]
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + 30, y - 20, steps=5)
-    page.mouse.up()
-    numbers = [page.get_by_label(f"Move along {axis} (mm)").first for axis in "xyz"]
-    page.wait_for_function("(box) => box.value > 1", arg=numbers[2].element_handle())
-    along_x, along_y, up = (float(number.input_value()) for number in numbers)
-    assert along_x == 0.0 and along_y > 1.0 and up > 1.0, "in the plane that faces the eye"
-    page.get_by_text(f"move = [0.0, {along_y / 1e3:g}, {up / 1e3:g}]").wait_for(state="attached")
-    for axis in "yz":
-        fill(page, f"Move along {axis} (mm)", 0)
-
-
 def test_the_story_by_clicks_alone(server, page, tmp_path):
     folder = server[0]
     write_parts(tmp_path)
@@ -183,6 +162,27 @@ def test_the_story_by_clicks_alone(server, page, tmp_path):
         "nugget.toml",
     ]
     assert page.said == []
+
+
+@pytest.mark.long
+def test_a_bucket_is_dragged_and_moved_by_numbers(page):
+    step(page, "Bucket and release")
+    page.locator("iframe[data-shows*=moves]").wait_for()
+    page.frame_locator("iframe").locator("canvas[data-source]").wait_for()
+    page.wait_for_timeout(500)
+    box = page.locator("iframe").bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.66 * box["height"]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 30, y - 20, steps=5)
+    page.mouse.up()
+    numbers = [page.get_by_label(f"Move along {axis} (mm)").first for axis in "xyz"]
+    page.wait_for_function("(box) => box.value > 1", arg=numbers[2].element_handle())
+    along_x, along_y, up = (float(number.input_value()) for number in numbers)
+    assert along_x == 0.0 and along_y > 1.0 and up > 1.0, "in the plane that faces the eye"
+    page.get_by_text(f"move = [0.0, {along_y / 1e3:g}, {up / 1e3:g}]").wait_for(state="attached")
+    for axis in "yz":
+        fill(page, f"Move along {axis} (mm)", 0)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
