@@ -109,7 +109,7 @@ def test_the_maps_have_it_where_it_happened():
         (panel,) = map_impacts(run, group)
         assert panel.number.sum() == run.collisions[group][-1] and (panel.number > 0).sum() == 1
         at = np.array(AT) @ panel.axes[:, :2].T  # in the panel's own frame
-        x, y = np.floor((at / panel.half_extent + 1) / 2 * ASKED["cells"]).astype(int)
+        x, y = np.floor((at / panel.half_extent + 1) / 2 * ASKED["map_resolution"]).astype(int)
         assert panel.number[y, x] == panel.number.sum()
         assert panel.energy[y, x] == pytest.approx(run.collision_energy[group][-1], rel=1e-12)
         assert panel.impulse[y, x] == pytest.approx(run.collision_impulse[group][-1], rel=1e-12)

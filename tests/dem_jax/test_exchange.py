@@ -115,7 +115,9 @@ def test_new_pieces_begin_within_the_inlet_and_touch_no_other(run):
     radius = 1.3 * RADIUS
     for frame, piece in new:
         x = place[frame + 1, piece]
-        assert (x > np.array(INLET["low"]) - [0, 0, 0.02]).all() and (x < INLET["high"]).all()
+        assert (x > np.array(INLET["box_low"]) - [0, 0, 0.02]).all() and (
+            x < INLET["box_high"]
+        ).all()
         others = np.delete(place[frame + 1], piece, axis=0)
         apart = np.linalg.norm(others[np.isfinite(others[:, 0])] - x, axis=1)
         assert (apart > radius).all()
