@@ -42,7 +42,13 @@ def whole(tmp_path_factory):
     return dem_jax.simulate(scene_of(BALLS), seed=3, out=path), path
 
 
-@pytest.mark.parametrize("tree", [BALLS, NUGGETS], ids=["spheres", "general hulls"])
+@pytest.mark.parametrize(
+    "tree",
+    [
+        pytest.param(BALLS, id="spheres"),
+        pytest.param(NUGGETS, id="general hulls", marks=pytest.mark.long),
+    ],
+)
 def test_padding_is_inert(tree):
     filled, exact = (
         dem_jax.simulate(scene_of(tree, run__sizes=sizes), seed=3) for sizes in ("classes", "exact")
