@@ -3,7 +3,7 @@
 Ends with the release after this one; ``dem-jax migrate FILE`` rewrites files.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 from dem_jax.deprecation import warn_of_name
@@ -82,15 +82,8 @@ SECTION_CLASSES = {  # whose attributes have the former names too
     "Product": "portion.product",
     "Portion": "portion",
 }
-KEY_TABLES = (
-    "set",
-    "compare",
-    "heap",
-    "parameter",
-    "at",
-    "parameters",
-)  # of a study: their keys are
-# dotted keys of the scene
+# tables of a study whose keys are dotted keys of the scene
+KEY_TABLES = ("set", "compare", "heap", "parameter", "at", "parameters")
 
 
 def find_attribute(section: str, name: str) -> str | None:
@@ -109,22 +102,35 @@ def rename_key(key: str) -> str:
     return ".".join(parts)
 
 
+def _rename_entries(
+    values: Mapping[str, Any], rename: Callable[[str], str], place: str = ""
+) -> Iterator[tuple[str, str, Any]]:
+    """(key, key of now, item) of a table. place: begins messages. Raises SceneError for a key that is
+    given by both of its names.
+    """
+    for key, item in values.items():
+        renamed = rename(key)
+        if renamed != key and renamed in values:
+            raise SceneError(
+                f"{place}{renamed}: is given as {key} as well; allowed: one of the two"
+            )
+        yield key, renamed, item
+
+
 def accept_section(given: Any, section: str) -> Any:
     """The keys given to a class of sections by their names of now, with a note for each former one.
 
-    Raises ValueError for a key that is given by both of its names.
+    Raises SceneError for a key that is given by both of its names.
     """
-    names = FORMER_KEYS.get(SECTION_CLASSES.get(section, "-"), {})
+    place = SECTION_CLASSES.get(section, "-")
+    names = FORMER_KEYS.get(place, {})
     if not isinstance(given, dict) or names.keys().isdisjoint(given):
         return given
     out: Tree = {}
-    for key, item in given.items():
-        renamed = str(names.get(key, key))
+    for key, renamed, item in _rename_entries(given, lambda key: names.get(key, key)):
         if renamed != key:
-            if renamed in given:
-                raise ValueError(f"{renamed}: is given as {key} as well; allowed: one of the two")
             warn_of_name(f"{section}.{key}", renamed)
-        out[renamed] = _rename_value(f"{SECTION_CLASSES[section]}.{renamed}", item)
+        out[renamed] = _rename_value(f"{place}.{renamed}", item)
     return out
 
 
@@ -140,13 +146,10 @@ def accept_keys(values: Mapping[str, Any]) -> dict[str, Any]:
     """Values by dotted keys of a scene, with the keys and values of now, and a note for each former
     one. Raises SceneError for a key that is given by both of its names.
     """
-    out: dict[str, Any] = {}
-    for key, item in values.items():
-        renamed = accept_key(key)
-        if renamed in out:
-            raise SceneError(f"{key}: is given as {renamed} as well; allowed: one of the two")
-        out[renamed] = _rename_value(renamed, rename_tables(item, renamed))
-    return out
+    return {
+        renamed: _rename_value(renamed, rename_tables(item, renamed))
+        for _, renamed, item in _rename_entries(values, accept_key)
+    }
 
 
 def rename_tables(tree: Any, section: str = "", former: list[str] | None = None) -> Any:
@@ -161,26 +164,24 @@ def rename_tables(tree: Any, section: str = "", former: list[str] | None = None)
         SceneError: a key is given by both of its names.
     """
     place = ".".join(part for part in section.split(".") if not part.isdecimal())
-    if isinstance(tree, list | tuple):
+    if isinstance(tree, list | tuple) and any(isinstance(row, dict) for row in tree):
         return type(tree)(rename_tables(row, place, former) for row in tree)
     if not isinstance(tree, dict):
         return tree
-    if not place and isinstance(tree.get("state"), dict):  # of a product
-        states = {name: rename_tables(row, "", former) for name, row in tree["state"].items()}
-        tree = tree | {"state": states}
     names, out = FORMER_KEYS.get(place, {}), {}
-    for key, item in tree.items():
-        renamed = names.get(key, key)
-        path = f"{place}.{renamed}".lstrip(".")
-        if renamed != key and renamed in tree:
-            raise SceneError(f"{path}: is given as {key} as well; allowed: one of the two")
+    begin = f"{place}." if place else ""
+    for key, renamed, item in _rename_entries(tree, lambda key: names.get(key, key), begin):
+        path = f"{begin}{renamed}"
         if renamed != key and former is not None:
-            former.append(f"{place}.{key}".lstrip("."))
-        if place == "uncertain" and key == "key" and isinstance(item, str):
+            former.append(f"{begin}{key}")
+        if path == "uncertain.key" and isinstance(item, str):
             if former is not None and rename_key(item) != item:
                 former.append(item)
             item = rename_key(item)
-        item = item if path == "state" else rename_tables(item, path, former)
+        elif path == "state" and isinstance(item, dict):  # of a product
+            item = {name: rename_tables(row, "", former) for name, row in item.items()}
+        else:
+            item = rename_tables(item, path, former)
         out[renamed] = _rename_value(path, item)
     return out
 
@@ -188,18 +189,20 @@ def rename_tables(tree: Any, section: str = "", former: list[str] | None = None)
 def accept_tables(tree: Tree, source: str = "") -> Tree:
     """``rename_tables`` of a file's tree, with a note for each former key; source: the file."""
     former: list[str] = []
-    renamed: Tree = rename_tables(tree, "", former)
-    for key in dict.fromkeys(former):
-        warn_of_name(key, rename_key(key), _hint(source))
-    return renamed
+    return _warn_of_keys(rename_tables(tree, "", former), former, source)
 
 
 def accept_study(tree: Tree, source: str = "") -> Tree:
     """``rename_study`` with a note for each former key; source: the file."""
     former: list[str] = []
-    renamed = rename_study(tree, former)
+    return _warn_of_keys(rename_study(tree, former), former, source)
+
+
+def _warn_of_keys(renamed: Tree, former: list[str], source: str) -> Tree:
+    """The renamed tree, with a note for each former key that it had."""
+    hint = f"; dem-jax migrate {source} rewrites the file" if source.endswith(".toml") else ""
     for key in dict.fromkeys(former):
-        warn_of_name(key, rename_key(key), _hint(source))
+        warn_of_name(key, rename_key(key), hint)
     return renamed
 
 
@@ -227,19 +230,11 @@ def rename_study(tree: Any, former: list[str] | None = None) -> Any:
 
 def _rename_dotted(values: Tree, former: list[str] | None) -> Tree:
     out: Tree = {}
-    for key, item in values.items():
-        renamed = rename_key(key)
-        if renamed != key and renamed in values:
-            raise SceneError(f"{renamed}: is given as {key} as well; allowed: one of the two")
+    for key, renamed, item in _rename_entries(values, rename_key):
         if renamed != key and former is not None:
             former.append(key)
         out[renamed] = _rename_value(renamed, item)
     return out
-
-
-def _hint(source: str) -> str:
-    """The end of a note on a key of a file."""
-    return f"; dem-jax migrate {source} rewrites the file" if source.endswith(".toml") else ""
 
 
 def _rename_value(key: str, item: Any) -> Any:
