@@ -241,7 +241,7 @@ def costs_of_a_step(kind, start, variants):
     """
     import jax
 
-    from dem_jax.runner.executors import execute_chunk
+    from dem_jax.runner.executors import describe_chunk
     from dem_jax.runner.job_setup import prepare_job
 
     jobs, times = {}, {}
@@ -254,7 +254,7 @@ def costs_of_a_step(kind, start, variants):
         for name, job in jobs.items():
             begin = time.process_time()
             with jax.enable_x64(job.scene.run.precision == "f64"):
-                execute_chunk(job, job.system, job.state, 0, 200)
+                job.executor(describe_chunk(job, job.system, job.state, 0, 200))
             times[name].append((time.process_time() - begin) / (200 * job.steps_per_sample))
     return {name: statistics.median(each[1:]) for name, each in times.items()}
 
@@ -468,14 +468,14 @@ def drops(scene, seeds) -> Drops:
     """
     import jax
 
-    from dem_jax.runner.executors import execute_chunk
+    from dem_jax.runner.executors import describe_chunk
     from dem_jax.runner.interface import run_job
     from dem_jax.runner.job_setup import prepare_job
     from dem_jax.visualization.summary import impact_duration
 
     job = prepare_job(scene, tuple(range(seeds)), seeds)
     with jax.enable_x64(scene.run.precision == "f64"):
-        execute_chunk(job, job.system, job.state, 0, 0)  # no samples: it compiles
+        job.executor(describe_chunk(job, job.system, job.state, 0, 0))  # no samples: it compiles
     while True:
         compiled, start = job.clock.compile, time.process_time()
         found = run_job(job, None, False, False)

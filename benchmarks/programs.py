@@ -59,7 +59,7 @@ def time_steps(product, grams, samples, repeats):
     """
     import jax
 
-    from dem_jax.runner.executors import execute_chunk
+    from dem_jax.runner.executors import describe_chunk
     from dem_jax.runner.loop import iterate_chunks
     from dem_jax.runner.progress import Progress
 
@@ -73,7 +73,9 @@ def time_steps(product, grams, samples, repeats):
     for _ in range(repeats):
         for sizes, (job, system, state, end) in made.items():
             start = time.process_time()
-            jax.block_until_ready(execute_chunk(job, system, state, end, samples).state)
+            jax.block_until_ready(
+                job.executor(describe_chunk(job, system, state, end, samples)).state
+            )
             spent = time.process_time() - start
             times[sizes].append(spent / (samples * job.steps_per_sample))
     return times, [made[sizes][2].position.shape[-1] for sizes in made]

@@ -47,7 +47,7 @@ def cost_of_a_step(count: int):
     import numpy as np
 
     from dem_jax.runner.chunk import CHUNK_SAMPLES
-    from dem_jax.runner.executors import execute_chunk
+    from dem_jax.runner.executors import describe_chunk
 
     system, state, job = packed(count)
     samples = max(20, int(1.0 / (30e-6 * count**0.8 * job.steps_per_sample)) // 10 * 10)
@@ -55,7 +55,7 @@ def cost_of_a_step(count: int):
     times = []
     for _ in range(REPEATS):
         start = time.perf_counter()
-        after, _, _ = execute_chunk(job, system, state, 0, samples)
+        after, _, _ = job.executor(describe_chunk(job, system, state, 0, samples))
         jax.block_until_ready(after)
         times.append((time.perf_counter() - start) / (samples * job.steps_per_sample))
     table = state.contacts["hulls"]

@@ -82,10 +82,7 @@ def _join_files(args: Args) -> None:
         )
     simulation_options.check_ending(args.out)
     out = Path(args.out)
-    if out.is_file() and not args.overwrite:
-        raise RecordError(
-            f"{out} exists; allowed: another name by --out, or --overwrite to replace it"
-        )
+    simulation_options.check_target(out, args.overwrite)
     whole = join_parts(args.files, [load_run(path) for path in args.files])
     if "part" in whole.info:
         total, held = whole.info["part"]["total"], part_range(whole)

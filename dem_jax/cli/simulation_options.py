@@ -2,7 +2,6 @@
 at the end.
 """
 
-import os
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -57,7 +56,6 @@ def load_scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
     """The scene with its changes, and the file to write. suffix: of the file's name. Raises
     SceneError and RecordError.
     """
-    from dem_jax.io.run_files import check_destination
     from dem_jax.scene import load_scene, parse_setting
 
     changes = dict(parse_setting(text) for text in args.settings)
@@ -72,14 +70,23 @@ def load_scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
     check_ending(args.out)
     scene = load_scene(args.scene, changes)
     out = Path(args.out or f"{scene.name}{suffix}.h5")
-    if os.path.isfile(out) and not args.overwrite:
-        raise RecordError(
-            f"{out} exists; allowed: another name by --out, or --overwrite to replace it"
-        )
-    check_destination(out, args.overwrite)
+    check_target(out, args.overwrite)
     if not args.no_plot:
         check_beside(out, ".png")
     return scene, out
+
+
+def check_target(out: Path, overwrite: bool) -> None:
+    """Raise RecordError for a file of results that exists and is not to be replaced, or cannot be
+    written.
+    """
+    from dem_jax.io.run_files import check_destination
+
+    if out.is_file() and not overwrite:
+        raise RecordError(
+            f"{out} exists; allowed: another name by --out, or --overwrite to replace it"
+        )
+    check_destination(out, overwrite)
 
 
 def check_ending(out: str | None) -> None:

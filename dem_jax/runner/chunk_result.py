@@ -10,7 +10,7 @@ import numpy as np
 from dem_jax.broad_phase import overflow_recovery
 from dem_jax.runner import failure
 from dem_jax.runner.chunk import KnownResults
-from dem_jax.runner.executors import execute_chunk
+from dem_jax.runner.executors import describe_chunk
 from dem_jax.runner.job import Job
 from dem_jax.runner.progress import Progress
 from dem_jax.types import Sample, State, System
@@ -53,7 +53,7 @@ def compute_chunk(
     reruns: list[str] = []
     start, known = overflow_recovery.reset_report(state), None
     for _ in range(MOST_ATTEMPTS):
-        done = execute_chunk(job, system, start, first, count, shown, known)
+        done = job.executor(describe_chunk(job, system, start, first, count, shown, known))
         seen = jax.device_get(done.state.guard)
         failure.check_start_overlap(job, seen)
         reasons = overflow_recovery.describe_overflow(system, seen)

@@ -24,19 +24,6 @@ SHARED_STATE = ("skin", "touching", "row_capacity", "partition", "slow", "capaci
 LISTED_FACTS = ("steps", "piece_counts")  # of a header's info: a value for each run
 
 
-class _Whole:
-    """A plan as the key of the job that was made of it last."""
-
-    def __init__(self, plan: EnsemblePlan) -> None:
-        self.plan, self.digest = plan, plan.digest
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Whole) and self.digest == other.digest
-
-
 def prepare_whole(plan: EnsemblePlan) -> Job:
     """The job of all runs; a process keeps the last one. Raises SceneError."""
     if plan.scene.run.until_settled:
@@ -47,12 +34,11 @@ def prepare_whole(plan: EnsemblePlan) -> Job:
         raise SceneError(
             "jax.distributed shares out the runs already; allowed with it: without workers or shards"
         )
-    return _prepare(_Whole(plan))
+    return _prepare(plan)
 
 
 @lru_cache(maxsize=1)
-def _prepare(key: _Whole) -> Job:
-    plan = key.plan
+def _prepare(plan: EnsemblePlan) -> Job:
     return prepare_job(plan.scene, plan.seeds, len(plan.seeds), parameters=plan.parameters)
 
 

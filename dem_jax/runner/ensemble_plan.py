@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from hashlib import sha256
 from typing import Any
 
@@ -17,19 +18,25 @@ from dem_jax.scene import Scene, load_scene
 MOST_RUNS = 10**6  # of an ensemble: more need too much memory for their setup
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EnsemblePlan:
-    """The K runs of an ensemble."""
+    """The K runs of an ensemble. Plans of one digest are equal."""
 
     scene: Scene
     seeds: tuple[int, ...]  # [K]
     parameters: dict[str, list[Any]] | None  # key -> [K] values
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Digits that differ if anything of the plan does."""
         told = [self.scene.to_toml(), self.seeds, self.parameters]
         return sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, EnsemblePlan) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
 
 
 def plan_ensemble(

@@ -51,21 +51,7 @@ def choose_executor(system: System, runs: int | None, is_one: bool = True) -> Ex
     return partial(run_on_hosts, here, runs) if multihost.is_distributed() else here
 
 
-def execute_chunk(
-    job: Job,
-    system: System,
-    state: State,
-    first: int,
-    count: int,
-    shown: Progress | None = None,
-    known: KnownResults | None = None,
-) -> ComputedChunk:
-    """Compute ``count`` samples from sample ``first`` on. known: cached results of an ensemble, see
-    ``KnownResults``."""
-    return job.executor(_describe_chunk(job, system, state, first, count, shown, known))
-
-
-def _describe_chunk(
+def describe_chunk(
     job: Job,
     system: System,
     state: State,
@@ -74,7 +60,9 @@ def _describe_chunk(
     shown: Progress | None = None,
     known: KnownResults | None = None,
 ) -> Chunk:
-    """The input of ``execute_chunk``."""
+    """``count`` samples from sample ``first`` on, as input of ``Job.executor``. known: cached results
+    of an ensemble, see ``KnownResults``.
+    """
     every = job.samples_per_frame or 1
     times = ChunkTiming(np.int32(count), np.int32(every), np.int32(first % every))
     compiling = shown.show_compiling if shown else lambda: None
@@ -95,7 +83,7 @@ def compile_program(job: Job) -> None:
     """Compile the program of a job, by none of its samples, so that this process has it."""
     with jax.enable_x64(job.is_double):
         start = overflow_recovery.reset_report(job.state)
-        execute_chunk(job, job.system, start, job.sample_index(job.state), 0)
+        job.executor(describe_chunk(job, job.system, start, job.sample_index(job.state), 0))
 
 
 def run_single(chunk: Chunk) -> ComputedChunk:
@@ -106,7 +94,7 @@ def run_single(chunk: Chunk) -> ComputedChunk:
 def find_program_file(job: Job) -> str | None:
     """Name of the file of the program that a single run begins with; None if none is kept."""
     with jax.enable_x64(job.is_double):
-        chunk = _describe_chunk(job, job.system, job.state, 0, 1)
+        chunk = describe_chunk(job, job.system, job.state, 0, 1)
         return programs.find_file(chunk, stepping.run_chunk)
 
 

@@ -15,7 +15,7 @@ import jax
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.runner import failure, multihost, piece_exchange, undamped_rest
 from dem_jax.runner.chunk_result import ChunkResult, apply_stop_criterion, compute_chunk
-from dem_jax.runner.executors import execute_chunk
+from dem_jax.runner.executors import describe_chunk
 from dem_jax.runner.job import Job
 from dem_jax.runner.progress import Progress, ProgressCallback
 from dem_jax.runner.recording import choose_restart_state, collect_info, select_new_rows
@@ -112,7 +112,7 @@ def _check_same_job(job: Job) -> None:
 def _stop_run(job: Job, target: Sink, span: ChunkResult, failed: tuple[int, int]) -> NoReturn:
     """Save the results before the failure and raise it."""
     member, k = failed
-    state, _, _ = execute_chunk(job, span.system, span.start, span.first, k + 1)
+    state, _, _ = job.executor(describe_chunk(job, span.system, span.start, span.first, k + 1))
     error = failure.describe_failure(job, span, jax.device_get(state), member, k)
     if span.first >= 0:
         _append_rows(job, target, *select_new_rows(job, span, k), info={"stopped": str(error)})

@@ -3,12 +3,12 @@ own.
 """
 
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
 from dem_jax import program_store
+from dem_jax.cluster.environment import count_cores
 from dem_jax.errors import SceneError
 from dem_jax.runner.executors import compile_program, find_program_file
 from dem_jax.runner.job_setup import prepare_job
@@ -49,9 +49,8 @@ def compile_programs(
         prepare: called in each process at first; a function of a module.
         workers: number of processes, by default one for each core.
     """
-    count = workers or os.cpu_count() or 1
     with ProcessPoolExecutor(
-        min(count, len(changes)), multiprocessing.get_context("spawn"), prepare
+        min(workers or count_cores(), len(changes)), multiprocessing.get_context("spawn"), prepare
     ) as pool:
         tasks = {pool.submit(_compile_program, scene, each): each for each in changes}
         for task in as_completed(tasks):

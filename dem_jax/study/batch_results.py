@@ -77,11 +77,7 @@ def enter_results(results: StudyResults, found: BatchResults) -> None:
     with process.defer_signals():  # the file says of all of it that it is done, or of nothing
         for name, (of, values) in found.outputs.items():
             results.outputs[name][list(of)] = values
-        results.time = max(
-            (time for time in (results.time, found.time) if time is not None),
-            key=lambda time: (len(time), float(time[-1])),
-            default=None,
-        )
+        results.extend_time(found.time)
         results.force |= found.force
         results.state[list(found.members)] = DONE
         enter_failed(results, found.failed)

@@ -45,6 +45,11 @@ class StudyResults:
             {name: np.full(count, np.nan) for name in study.outputs},
         )
 
+    def extend_time(self, time: np.ndarray | None) -> None:
+        """Take the times of other traces if these are longer."""
+        times = [each for each in (self.time, time) if each is not None]
+        self.time = max(times, key=lambda t: (len(t), float(t[-1])), default=None)
+
     def group_by_point(self, values: np.ndarray) -> np.ndarray:
         """Values [M] of drops as [points, seeds]."""
         return values.reshape(-1, self.study.seeds)

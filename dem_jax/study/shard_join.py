@@ -96,7 +96,6 @@ def _enter_part(whole: StudyResults, part: StudyResults) -> None:
     whole.state[new] = part.state[new]
     whole.failure_reasons |= part.failure_reasons
     whole.force |= part.force
-    times = [time for time in (whole.time, part.time) if time is not None]
-    whole.time = max(times, key=lambda t: (len(t), float(t[-1])), default=None)
+    whole.extend_time(part.time)
     whole.elapsed += part.elapsed
     whole.computed_by += [row for row in part.computed_by if row not in whole.computed_by]
