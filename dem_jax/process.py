@@ -35,21 +35,23 @@ class SilentStream:
     def __init__(self, stream: Any) -> None:
         self._stream = stream
         self._has_ended = False
+        self._line_begun = False  # text stands on the last line, such as a progress bar
 
     def write(self, text: str) -> int:
         """Write, or do nothing."""
-        if not self._has_ended:
+        if text and not self._has_ended:
+            self._line_begun = text[-1] not in "\r\n"
             with suppress(OSError, ValueError, AttributeError):
                 self._stream.write(text)
         return len(text)
 
     def write_last(self, text: str) -> None:
-        """Write the last text; later writes, such as from the thread of a progress bar, are
-        ignored.
+        """Write the last text, on a line of its own; later writes, such as from the thread of a
+        progress bar, are ignored.
         """
         self._has_ended = True
         with suppress(OSError, ValueError, AttributeError):
-            self._stream.write(text)
+            self._stream.write("\n" * self._line_begun + text)
 
     def flush(self) -> None:
         """Flush, or do nothing."""
@@ -233,10 +235,8 @@ def _save_one(save: Save) -> None:
 
 
 def _print_ending() -> None:
-    bars = getattr(sys.modules.get("tqdm"), "tqdm", None)
-    line_begun = "\n" if getattr(bars, "_instances", None) else ""
     stream = sys.stderr if isinstance(sys.stderr, SilentStream) else SilentStream(sys.stderr)
-    stream.write_last(f"{line_begun}dem_jax: {describe_interrupt()}\n")
+    stream.write_last(f"dem_jax: {describe_interrupt()}\n")
     stream.flush()
     with suppress(OSError, ValueError):
         sys.stdout.flush()

@@ -82,11 +82,7 @@ def check_target(out: Path, overwrite: bool) -> None:
     """
     from dem_jax.io.run_files import check_destination
 
-    if out.is_file() and not overwrite:
-        raise RecordError(
-            f"{out} exists; allowed: another name by --out, or --overwrite to replace it"
-        )
-    check_destination(out, overwrite)
+    check_destination(out, overwrite, "another name by --out, or --overwrite to replace it")
 
 
 def check_ending(out: str | None) -> None:

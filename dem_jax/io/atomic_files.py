@@ -140,8 +140,15 @@ def _partial_name(folder: Path) -> str:
     return os.path.join(folder, f".dem_jax-{secrets.token_hex(8)}.tmp")
 
 
-def check_destination(path: FileName, overwrite: bool = False) -> None:
-    """Raise RecordError if a file cannot be written, or exists and is not to be overwritten."""
+def check_destination(
+    path: FileName,
+    overwrite: bool = False,
+    allowed: str = "another name, or overwrite=True to replace it",
+) -> None:
+    """Raise RecordError if a file cannot be written, or exists and is not to be overwritten.
+
+    allowed: what the error says of a file that exists.
+    """
     place = resolve_destination(path)
     if not place.parent.is_dir():
         raise RecordError(
@@ -149,12 +156,8 @@ def check_destination(path: FileName, overwrite: bool = False) -> None:
         )
     with suppress(OSError):  # such as for a name that is too long, which is reported below
         if place.exists() and not (overwrite and place.is_file()):
-            allowed = (
-                "another name, or overwrite=True to replace it"
-                if place.is_file()
-                else "another name, or a file"
-            )
-            raise RecordError(f"{path} exists; allowed: {allowed}")
+            instead = allowed if place.is_file() else "another name, or a file"
+            raise RecordError(f"{path} exists; allowed: {instead}")
     check_writable(path)
 
 

@@ -2,6 +2,7 @@
 not touch.
 """
 
+import io
 import fcntl
 import gc
 import os
@@ -134,6 +135,24 @@ def test_ctrl_c_while_xla_compiles_ends_the_command():
     assert started.returncode == 130
     assert err.splitlines()[-1] == "dem_jax: interrupted; no file of results was written"
     assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("before", "written"),
+    [
+        ("compiling: 0%", "compiling: 0%\nended\n"),  # a bar that stands, closed meanwhile or not
+        ("a note\n", "a note\nended\n"),
+        ("\rbar\r   \r", "\rbar\r   \rended\n"),  # a bar that was wiped away
+        ("", "ended\n"),
+    ],
+)
+def test_the_last_line_is_a_line_of_its_own(before, written):
+    under = io.StringIO()
+    stream = process.SilentStream(under)
+    stream.write(before)
+    stream.write_last("ended\n")
+    stream.write("late\n")
+    assert under.getvalue() == written
 
 
 TOLD = """
