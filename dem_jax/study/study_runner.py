@@ -1,5 +1,6 @@
 """A study from its beginning, or from where it stopped, to its end."""
 
+import os
 import time
 from contextlib import nullcontext
 from functools import partial
@@ -199,7 +200,7 @@ def _describe_work(study: Study, left: list[batches.Batch]) -> str:
 def _open_results(table: Study, out: str | Path | None, overwrite: bool) -> StudyResults:
     if out is None:
         return StudyResults.create_empty(table)
-    if Path(out).is_file() and not overwrite:
+    if os.path.isfile(out) and not overwrite:  # False for a name that is too long
         check_writable(out)
         kept = results_file.load_results(out)
         if not results_file.is_same_study(kept.study, table):

@@ -2,9 +2,9 @@
 not touch.
 """
 
-import io
 import fcntl
 import gc
+import io
 import os
 import signal
 import subprocess

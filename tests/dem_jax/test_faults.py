@@ -135,8 +135,9 @@ def test_what_cannot_be_written_is_found_before_computing(copy, capsys, monkeypa
         "loop.h5": "Too many levels of symbolic links",
     }
     for out, reason in reasons.items():
-        line = refused(["run", *SHORT, "--out", out], capsys)
-        assert f"{out} cannot be written: {reason}" in line
+        for command in ("run", "ensemble"):
+            line = refused([command, *SHORT, "--out", out], capsys)
+            assert f"{out} cannot be written: {reason}" in line
     assert ".png cannot be written: File name too long" in refused(
         ["run", *SHORT[:-1], "--out", beside], capsys
     )
