@@ -201,7 +201,7 @@ def test_free_fall_in_one_jump_is_that_step_by_step():
 def test_free_fall_is_exact_where_it_can_be():
     with jax.enable_x64(True):
         scene = high().replace(run={"gravity": (1.0, -2.0, -9.81)})
-        made, time = assembly.assemble_system(scene, 0), 20 * scene.run.sample
+        made, time = assembly.assemble_system(scene, 0), 20 * scene.run.sample_interval
         system, state = roomy(made, 64)
         state, samples, _ = stepping.run_compiled_chunk(
             system, state, np.int32(20), np.int32(1), samples=PER_CHUNK, frames=0

@@ -9,7 +9,7 @@ import pytest
 
 from dem_jax import deprecation
 
-pytestmark = pytest.mark.filterwarnings("default::dem_jax.deprecation.FormerNameWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::dem_jax.deprecation.FormerNameWarning")
 
 
 @pytest.mark.parametrize(

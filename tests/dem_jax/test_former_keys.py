@@ -16,7 +16,7 @@ from dem_jax.scene.scene import Scene
 from dem_jax.study.config import load_study
 
 # also where a test expects another one
-pytestmark = pytest.mark.filterwarnings("default::dem_jax.deprecation.FormerNameWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::dem_jax.deprecation.FormerNameWarning")
 FORMER = """# my drop
 base = "weigh-bucket"   # a stock scene
 [run]
