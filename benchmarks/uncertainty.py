@@ -12,6 +12,8 @@ import numpy as np
 
 from benchmarks import report
 from dem_jax import xla_flags
+from dem_jax.assembly.piece_arrays import build_piece_set
+from dem_jax.scene import load_scene
 from dem_jax.scene.library import list_products
 from dem_jax.study import analysis, study_runner
 from dem_jax.study.config import validate_study
@@ -44,11 +46,13 @@ HEAD = (
 
 
 def conducted(product: str, quick: bool):
-    """The results of a product's study."""
+    """The results of a product's study, with the number of pieces of its usual density."""
+    changes = {"product": product, "portion.target_weight": TARGET}
+    count = len(build_piece_set(load_scene("weigh-bucket", changes)).shapes)
     tree = {
         "name": f"uncertain-{product}", "title": f"Unknown numbers of {product}", "scene": "weigh-bucket", "uncertain": True,
         "points": 16 if quick else POINTS, "seeds": SEEDS, "outputs": ["peak", "time_to_rest", "time_to_weigh"],
-        "set": SETTINGS | {"product": product},
+        "set": SETTINGS | {"product": product, "portion.count": count},
     }  # fmt: skip
     return study_runner.run_study(validate_study(tree, "benchmarks.uncertainty"))
 
@@ -124,7 +128,7 @@ def main() -> None:
 
 {drops} drops of {1e3 * TARGET:g} g of each product into the stock weigh bucket: {drops // SEEDS} points of a Sobol design over
 the ranges of density, modulus, restitution, friction and pull-off in its file, {SEEDS} drops with seeds of their own at each.
-The number of pieces is fixed. Scatter is the variance of the normal scores of the ranks. "By unknown numbers" is the sum
+The number of pieces is fixed (`portion.count`). Scatter is the variance of the normal scores of the ranks. "By unknown numbers" is the sum
 of the first-order shares, with a 90 % interval; a number is listed if its share differs from zero. "Drops of equal
 numbers" is the share of the scatter between drops that differ in their seed alone: the chance of the fall by an analysis
 of variance, without a model of the effects. Both add up to 100 % where the effects of the numbers do. The sum has negative

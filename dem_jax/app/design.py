@@ -189,7 +189,8 @@ class Design:
     products: (name, share by weight) of the library or files of one's own; one of them, or a
     mixture. bucket: name or file; "": the one of the base scene. changes: key of the scene -> value
     (SI). has_load_cell: whether the weigh bucket hangs on a load cell. runs: number of drops. seed:
-    the first. move: (m) of an STL bucket of one's own; None: as its file has it.
+    the first. uncertain: whether several drops have numbers of their own from the ranges of the
+    product. move: (m) of an STL bucket of one's own; None: as its file has it.
     """
 
     products: tuple[tuple[str, float], ...] = (("marshmallow", 1.0),)
@@ -198,6 +199,7 @@ class Design:
     has_load_cell: bool = False
     runs: int = 1
     seed: int = 0
+    uncertain: bool = False
     move: tuple[float, float, float] | None = None
 
     @property
@@ -338,8 +340,14 @@ def name_program(design: Design) -> str:
     """
     changed = ("portion.", "material.")
     kept = {key: item for key, item in sorted(design.changes.items()) if key.startswith(changed)}
-    parts = (design.products, design.bucket, design.move, design.has_load_cell, design.runs, kept)
+    number = (design.runs, draws_numbers(design))
+    parts = (design.products, design.bucket, design.move, design.has_load_cell, number, kept)
     return repr(parts)
+
+
+def draws_numbers(design: Design) -> bool:
+    """Whether each drop of a design has numbers of its own from the ranges of the product."""
+    return design.uncertain and design.runs > 1
 
 
 def name_run_command(design: Design, stem: str) -> list[str]:
@@ -347,7 +355,8 @@ def name_run_command(design: Design, stem: str) -> list[str]:
     files = ["--seed", str(design.seed), "--out", f"{stem}.h5", "--no-plot"]
     if design.runs == 1:
         return ["dem-jax", "run", f"{stem}.toml", *files]
-    return ["dem-jax", "ensemble", f"{stem}.toml", "--runs", str(design.runs), *files]
+    drawn = ["--uncertain"] if draws_numbers(design) else []
+    return ["dem-jax", "ensemble", f"{stem}.toml", "--runs", str(design.runs), *drawn, *files]
 
 
 def write_product(stl: str, unit: float, weight: float, is_convex: bool, like: Tree) -> str:

@@ -81,6 +81,18 @@ class RunFacts(NamedTuple):
     settings: dict[str, str]
 
 
+class ShareFacts(NamedTuple):
+    """What chance and unknown numbers have in the scatter of an ensemble, as the report shows it.
+
+    title, caption: of the picture. lines: in words. picture: PNG in base64; "": of too few runs.
+    """
+
+    title: str
+    caption: str
+    lines: list[str]
+    picture: str
+
+
 class Comparison(NamedTuple):
     """Runs beside the first: differing keys (key, value in each), and differences in words."""
 
@@ -327,6 +339,27 @@ def describe_run(path: str, member: int | None = None) -> RunFacts:
         member=chosen,
         settings=flatten_tree(tomllib.loads(whole.scene)),
     )
+
+
+def describe_shares(path: str) -> ShareFacts | None:
+    """The shares of chance and of unknown numbers in a run or an ensemble; None: none was drawn.
+
+    Raises RecordError and SceneError.
+    """
+    from dem_jax.visualization.report_page import SHARES_CAPTION, UNCERTAINTY_TITLE
+    from dem_jax.visualization.variance_decomposition import (
+        describe_uncertainty,
+        draw_variance_shares,
+        split_ensemble,
+    )
+    from dem_jax.visualization.webpage import encode_png
+
+    run = _load(path)
+    if not (lines := describe_uncertainty(run)):
+        return None
+    splits = split_ensemble(run)
+    picture = encode_png(draw_variance_shares(splits)) if splits else ""
+    return ShareFacts(UNCERTAINTY_TITLE, SHARES_CAPTION, lines, picture)
 
 
 def _load(path: str) -> Any:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dem_jax.app import facts
-from dem_jax.app.design import Design, name_program, name_run_command, read_design
+from dem_jax.app.design import Design, draws_numbers, name_program, name_run_command, read_design
 from dem_jax.app.facts import BucketCard, ProductCard
 from dem_jax.app.folder import Folder
 from dem_jax.app.helper import Helper
@@ -108,7 +108,8 @@ class Workspace:
 
 def describe_drop(design: Design) -> Drop:
     """What a process prepares for the drop of a design."""
-    return Drop(design.to_toml(), design.seed, design.runs, name_program(design))
+    drawn = draws_numbers(design)
+    return Drop(design.to_toml(), design.seed, design.runs, name_program(design), drawn)
 
 
 @dataclass
@@ -161,7 +162,10 @@ class Session:
                 f"{path.name} cannot be read; allowed: a scene of this folder"
             ) from error
         self.folder.check_references(tree)
-        self.design = replace(read_design(tree), runs=self.design.runs, seed=self.design.seed)
+        own = self.design
+        self.design = replace(
+            read_design(tree), runs=own.runs, seed=own.seed, uncertain=own.uncertain
+        )
 
     def enter_drop(self) -> tuple[Job, str]:
         """Write the scene under a free name and enter its command; returns the job and the name of

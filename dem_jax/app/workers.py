@@ -20,13 +20,15 @@ TakeError = Callable[[str, bool], object]  # takes text of standard error, and w
 class Drop(NamedTuple):
     """What a process can prepare: a scene (TOML text), the first seed, the number of drops.
 
-    program: equal for drops that certainly share a compiled program.
+    program: equal for drops that certainly share a compiled program. uncertain: whether each drop
+    has numbers of its own.
     """
 
     scene: str
     seed: int
     runs: int
     program: str
+    uncertain: bool = False
 
 
 class Worker:
@@ -77,7 +79,7 @@ class Worker:
             return
         self._drop = drop
         self._asked += 1
-        names = ("scene", "seed", "runs")
+        names = ("scene", "seed", "runs", "uncertain")
         self._send({"prepare": drop and {name: getattr(drop, name) for name in names}})
 
     async def run(

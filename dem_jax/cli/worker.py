@@ -62,26 +62,30 @@ def _import_ahead() -> None:
     import dem_jax.visualization.summary  # noqa: F401
 
 
-def compile_program(scene: str, seed: int, runs: int) -> None:
+def compile_program(scene: str, seed: int, runs: int, uncertain: bool = False) -> None:
     """Compile the program of a drop, by none of its samples, so that this process has it.
 
     Args:
         scene: TOML text; its files are in the working folder.
         seed: the first.
         runs: number of drops; 1: ``dem-jax run``, more: ``dem-jax ensemble``.
+        uncertain: with ``--uncertain``.
 
     Raises:
         SceneError: it cannot be used.
     """
     from dem_jax.cluster.compile_cache import use_cache
     from dem_jax.runner import executors
+    from dem_jax.runner.ensemble_plan import plan_ensemble
     from dem_jax.runner.job_setup import prepare_job
     from dem_jax.scene import parse_scene
 
     use_cache()
     read = parse_scene(scene, Path.cwd() / "new.toml")
+    plan = plan_ensemble(read, runs, seed, None, uncertain)
+    number = None if runs == 1 else runs
     executors.compile_program(
-        prepare_job(read, range(seed, seed + runs), None if runs == 1 else runs)
+        prepare_job(plan.scene, plan.seeds, number, (), None, plan.parameters)
     )
 
 

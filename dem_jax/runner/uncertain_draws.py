@@ -12,7 +12,8 @@ from dem_jax.scene.ranges import draw_values, select_uncertain_rows
 def draw_uncertain_numbers(
     scene: Scene, runs: int, seed: int, given: dict[str, Any]
 ) -> tuple[Scene, dict[str, list[Any]]]:
-    """The scene with a fixed number of pieces, and values of its uncertain numbers for each run.
+    """The scene with the portions of ``hold_portion``, and values of its uncertain numbers for each
+    run.
 
     Args:
         scene: with ``[[uncertain]]``.
@@ -24,19 +25,21 @@ def draw_uncertain_numbers(
         SceneError: the scene has no uncertain number beside those given.
     """
     rows = select_uncertain_rows(scene, tuple(given))
-    return scene.replace(fix_piece_counts(scene)), given | draw_values(rows, runs, seed)
+    return hold_portion(scene), given | draw_values(rows, runs, seed)
 
 
-def fix_piece_counts(scene: Scene) -> dict[str, Any]:
-    """Changes of a scene that keep the number of pieces of each product, whatever their densities.
+def hold_portion(scene: Scene) -> Scene:
+    """The scene with what stays of its portion if densities differ: the weight of a portion of one
+    product, which then has more or fewer pieces, and else the number of pieces of each product.
+
     Raises SceneError.
     """
     portion = scene.portion
-    if portion is None:
-        return {}
+    if portion is None or not (portion.product or scene.inlet or scene.outlet):
+        return scene
     counts = count_portion_pieces(scene, portion, make_portion_shapes(scene))[0]
     changes: dict[str, Any] = {"portion.count": sum(counts)}
     if portion.product:
         changes["portion.share_by"] = "count"
         changes |= {f"portion.product.{n}.share": float(count) for n, count in enumerate(counts)}
-    return changes
+    return scene.replace(changes)

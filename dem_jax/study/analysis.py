@@ -15,18 +15,21 @@ from dem_jax.errors import SceneError
 from dem_jax.io.atomic_files import write_atomically
 from dem_jax.scene.toml_text import align_columns, format_value
 from dem_jax.study import trace_comparison
+from dem_jax.study.batches import format_point
 from dem_jax.study.config import RMSE_OUTPUTS, ReferenceValue, Study
 from dem_jax.study.design import list_points
 from dem_jax.study.outputs import OUTPUTS
 from dem_jax.study.results_file import DONE, LOST, OPEN, StudyResults
 from dem_jax.study.uncertain_parameters import describe_study_uncertainty, range_probabilities
-from dem_jax.visualization.metadata import describe_peak_factors
+from dem_jax.visualization.metadata import describe_peak_factors, find_softened_modulus, format_si
 from dem_jax.visualization.metrics import Metric
 from dem_jax.visualization.variance_decomposition import split_variance
 
 MOST_DEGREE = 6  # of polynomials
 FEWEST_POINTS, MANY_POINTS = 8, 128  # drawn points from which on ranks are correlated, and shares
 # of the variance computed
+STIFFNESS_WORDS = ("product", "youngs_modulus", "softening")  # in keys of parameters on which the
+# stiffness of pieces depends
 
 
 def parameter_label(study: Study, key: str) -> str:
@@ -319,14 +322,28 @@ def describe_unsettled_drops(results: StudyResults) -> list[str]:
 
 
 def _describe_stiffness(results: StudyResults) -> list[str]:
-    """The moduli and the softening behind the peaks of a study; nothing if its scene no longer
-    exists."""
-    if not any(OUTPUTS[name].unit == "kg" for name in results.study.outputs):
+    """The moduli and the softening behind the peaks of a study, or the least and the greatest of
+    its points; nothing if its scene no longer exists.
+    """
+    study = results.study
+    if not any(OUTPUTS[name].unit == "kg" for name in study.outputs):
         return []
+    keys = [key for key in study.parameter if any(word in key for word in STIFFNESS_WORDS)]
     try:
-        return [f"peaks are those of {describe_peak_factors(results.study.base_scene())}"]
+        base = study.base_scene()
+        if not keys:
+            return [f"peaks are those of {describe_peak_factors(base)}"]
+        moduli = {
+            format_point(own): find_softened_modulus(base.replace(own))
+            for own in ({key: point[key] for key in keys} for point in list_points(study))
+        }
     except SceneError:
         return []
+    ends = (
+        f"{format_si(moduli[at], 'Pa')} ({at})"
+        for at in (min(moduli, key=moduli.__getitem__), max(moduli, key=moduli.__getitem__))
+    )
+    return [f"peaks are those of moduli E NSF of each point, from {' to '.join(ends)}"]
 
 
 def _describe_influences(study: Study, rows: list[Influence]) -> list[str]:

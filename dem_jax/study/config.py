@@ -8,7 +8,7 @@ import tomli_w
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
-from dem_jax.runner.uncertain_draws import fix_piece_counts
+from dem_jax.runner.uncertain_draws import hold_portion
 from dem_jax.scene import Scene, load_scene
 from dem_jax.scene.former_keys import accept_study
 from dem_jax.scene.messages import format_error
@@ -147,7 +147,7 @@ class Study(Section):
         return self
 
     def base_scene(self) -> Scene:
-        """The scene with the changes that hold at all points; the number of pieces is fixed if
+        """The scene with the changes that hold at all points, and what stays of its portion if
         numbers are uncertain.
 
         Raises SceneError.
@@ -164,7 +164,7 @@ class Study(Section):
             and scene.run.accuracy is None
         ):
             scene = scene.replace({"run.accuracy": "draft"})
-        return scene.replace(fix_piece_counts(scene)) if self.uncertain else scene
+        return hold_portion(scene) if self.uncertain else scene
 
     def member_seed(self, member: int) -> int:
         """The seed of a drop: the same at all points, unless the study asks for the shares of

@@ -3,10 +3,12 @@ scatter of single drops.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dem_jax.errors import SceneError
 from dem_jax.scene.ranges import evaluate_cdf, select_uncertain_rows
 from dem_jax.scene.sections.uncertain_number import UncertainNumber
 from dem_jax.study.config import Study, StudyParameter
@@ -17,6 +19,7 @@ from dem_jax.visualization.metrics import Metric
 from dem_jax.visualization.variance_decomposition import (
     VarianceShare,
     VarianceSplit,
+    describe_held_portion,
     describe_share,
     describe_splits,
     normal_scores,
@@ -119,6 +122,12 @@ def describe_study_uncertainty(results: StudyResults) -> list[str]:
     """Shares of chance and of unknown numbers in words; [] for other studies."""
     splits = split_outputs(results)
     lines = describe_splits(splits) if splits else []
+    with suppress(SceneError):  # of a scene that no longer exists
+        lines += (
+            describe_held_portion(results.study.base_scene(), results.study.parameter)
+            if splits
+            else []
+        )
     for row in replicate_shares(results) if results.study.uncertain else ():
         lines.append(
             f"{row.name}: drops with equal numbers have {describe_share(row)} of the scatter among themselves"

@@ -117,7 +117,7 @@ def _describe_modulus_ranges(scene: Scene) -> str:
     bounds = [find_modulus_range(scene, table.names[k]) for k in np.flatnonzero(~table.is_wall)]
     return ", ".join(
         dict.fromkeys(
-            f"{_format_si(b[0], 'Pa')} to {_format_si(b[1], 'Pa')}" for b in bounds if b is not None
+            f"{format_si(b[0], 'Pa')} to {format_si(b[1], 'Pa')}" for b in bounds if b is not None
         )
     )
 
@@ -170,10 +170,16 @@ def describe_peak_band(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
     return f"band of {which}: {low:.3g} to {high:.3g} kg, as of one impact with a modulus of {_describe_modulus_ranges(scene)}{softened}"
 
 
+def find_softened_modulus(scene: Scene) -> float:
+    """The greatest E NSF (Pa) of the pieces of a scene."""
+    table = build_material_table(scene)
+    return float(table.youngs_modulus[~table.is_wall].max() * scene.material.numerical_softening)
+
+
 def _describe_moduli(table: MaterialTable) -> str:
     """Young's moduli of the pieces."""
     return ", ".join(
-        _format_si(e, "Pa") for e in dict.fromkeys(table.youngs_modulus[~table.is_wall].tolist())
+        format_si(e, "Pa") for e in dict.fromkeys(table.youngs_modulus[~table.is_wall].tolist())
     )
 
 
@@ -288,7 +294,7 @@ def _material_fact(table: MaterialTable, k: int, densities: np.ndarray) -> tuple
     differ.
     """
     walls = np.flatnonzero(table.is_wall)
-    words = f"{_format_range(densities)} kg/m³, E = {_format_si(table.youngs_modulus[k], 'Pa')}, ε = {table.restitution[k, k]:g}"
+    words = f"{_format_range(densities)} kg/m³, E = {format_si(table.youngs_modulus[k], 'Pa')}, ε = {table.restitution[k, k]:g}"
     on_walls = f", {_format_range(table.friction[k, walls])} on walls" if len(walls) else ""
     return (
         f"material {table.names[k]}",
@@ -353,7 +359,7 @@ def _format_range(values: Sequence[float] | np.ndarray) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _format_si(value: float, unit: str) -> str:
+def format_si(value: float, unit: str) -> str:
     """A value with k, M or G before its unit."""
     for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if value >= factor:

@@ -30,7 +30,7 @@ from dem_jax.visualization.metrics import compute_metrics, format_metric, peaks_
 from dem_jax.visualization.run_figure import check_format, draw_run_figure
 from dem_jax.visualization.time_to_rest import find_rest
 from dem_jax.visualization.variance_decomposition import (
-    describe_splits,
+    describe_uncertainty,
     draw_variance_shares,
     split_ensemble,
 )
@@ -400,7 +400,7 @@ def _uncertainty_parts(named: Sequence[NamedRun], group: str | None) -> Iterator
     """Name, shares of the scatter in words, and figure for each ensemble with drawn numbers."""
     for each in named:
         if splits := split_ensemble(each.run, group):
-            yield each.name, describe_splits(splits), draw_variance_shares(splits)
+            yield each.name, describe_uncertainty(each.run, group), draw_variance_shares(splits)
 
 
 def _sections_html(

@@ -17,13 +17,13 @@ them unbiased. Intervals are those of the noncentral F distribution. Effects of 
 together, and of higher order, count as chance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from dem_jax.io.run_data import Run
-from dem_jax.scene import parse_scene
+from dem_jax.scene import Scene, parse_scene
 from dem_jax.scene.ranges import evaluate_cdf
 from dem_jax.scene.sections.uncertain_number import UncertainNumber
 from dem_jax.visualization.metadata import find_main_block, find_main_group
@@ -228,12 +228,27 @@ def describe_uncertainty(run: Run, group: str | None = None) -> list[str]:
     """
     if not (rows := find_varied_numbers(run)):
         return []
+    held = describe_held_portion(parse_scene(run.scene, "the file's scene"), rows)
     if splits := _split_by_numbers(rows, run, group):
-        return describe_splits(splits)
+        return [*describe_splits(splits), *held]
     least = FEWEST_PER_TERM * (len(rows) + 1)
     return [
-        f"{len(rows)} unknown numbers: their shares of the scatter need at least {least} runs that come to rest"
+        f"{len(rows)} unknown numbers: their shares of the scatter need at least {least} runs that come to rest",
+        *held,
     ]
+
+
+def describe_held_portion(scene: Scene, keys: Collection[str]) -> list[str]:
+    """What is equal of the portions of drops that differ in some keys, in words; [] if none of
+    these is a density.
+    """
+    if scene.portion is None or not any(key.endswith("density") for key in keys):
+        return []
+    if scene.portion.count is None:
+        return [
+            "portions: each has the weight asked for, of as many pieces as its density gives (portion.count: an equal number)"
+        ]
+    return ["portions: each has the same number of pieces, and a weight by its density"]
 
 
 def describe_splits(splits: Sequence[VarianceSplit]) -> list[str]:

@@ -103,6 +103,7 @@ def test_designs_of_one_program_differ_in_numbers_only():
         assert name_program(other) == name_program(first)
     for other in (
         replace(first, runs=16),
+        replace(first, runs=16, uncertain=True),
         first.with_product("almond"),
         first.with_change("portion.target_weight", 0.1),
     ):
@@ -120,6 +121,9 @@ def test_commands_are_those_of_the_command_line():
     assert one == ["dem-jax", "run", "nut.toml", "--seed", "3", "--out", "nut.h5", "--no-plot"]
     assert build_parser().parse_args(one[1:]).seed == 3
     assert build_parser().parse_args(many[1:]).runs == 16
+    drawn = [name_run_command(Design(runs=n, uncertain=True), "nut") for n in (1, 16)]
+    assert ["--uncertain" in argv for argv in drawn] == [False, True]
+    assert build_parser().parse_args(drawn[1][1:]).uncertain
 
 
 def test_an_own_part_becomes_a_product_of_its_weight(tmp_path):

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 import h5py
 import pytest
 
+from dem_jax.app import facts
 from dem_jax.app.design import Design, name_run_command
 from dem_jax.app.helper import Helper
 from dem_jax.app.jobs import Job, JobRunner
@@ -113,6 +114,13 @@ radius = 0.01
 position = [0, 0, 0.02]
 [run]
 duration = 0.1
+[[uncertain]]
+key = 'material.youngs_modulus'
+range = [1e6, 1e8]
+distribution = 'log-uniform'
+[[uncertain]]
+key = 'material.restitution'
+range = [0.1, 0.4]
 """
 
 
@@ -131,10 +139,11 @@ def read_arrays(path):
 @pytest.mark.parametrize("runs", [1, 16])
 def test_a_prepared_drop_has_the_bits_of_the_command_that_is_shown(tmp_path, runs):
     """The file of a job in a process that has compiled before, against the one of the same command
-    in a process of its own.
+    in a process of its own; of several drops each with numbers of its own, whose shares are shown.
     """
     (tmp_path / "ball.toml").write_text(BALL)
-    drop, command = Drop(BALL, 0, runs, "ball"), name_run_command(Design(runs=runs), "ball")
+    drop = Drop(BALL, 0, runs, "ball", runs > 1)
+    command = name_run_command(Design(runs=runs, uncertain=True), "ball")
 
     async def run():
         runner = JobRunner(tmp_path)
@@ -158,6 +167,11 @@ def test_a_prepared_drop_has_the_bits_of_the_command_that_is_shown(tmp_path, run
     subprocess.run(shown, cwd=tmp_path, check=True, capture_output=True)
     ours, theirs = read_arrays(tmp_path / "ball.h5"), read_arrays(tmp_path / "b.h5")
     assert "mean_force/plate" in ours and ours == theirs
+    shares = facts.describe_shares(str(tmp_path / "ball.h5"))
+    assert (shares is None) == (runs == 1)
+    assert shares is None or (
+        shares.picture and shares.lines[-1].startswith("measure first: youngs_modulus (")
+    )
 
 
 def test_a_process_that_compiles_for_another_drop_does_not_let_one_wait(tmp_path):

@@ -142,6 +142,7 @@ def test_the_story_by_clicks_alone(server, page, tmp_path):
     page.get_by_text("100 g asked").wait_for()
     step(page, "Drop")
     page.get_by_role("button", name="16 drops").click()
+    page.get_by_text("No number of this product has a range").wait_for()
     page.get_by_role("button", name="Drop", exact=True).click()
     page.get_by_text("Medians and bands").wait_for(timeout=PATIENCE)
 
@@ -325,3 +326,18 @@ def test_the_page_answers_while_a_drop_is_computed(page):
     assert min(times) < 0.1, "s; a busy machine may take longer for some"
     page.get_by_role("button", name="Cancel").click()
     page.get_by_text(re.compile("^cancelled: ")).wait_for()
+
+
+def test_unknown_numbers_are_drawn_by_a_switch(server, browser):
+    """Of the marshmallow, whose numbers have ranges; of several drops only."""
+    tab = open_tab(browser, server[1])
+    step(tab, "Drop")
+    switch = tab.get_by_role("switch", name="Draw the product's unknown numbers")
+    assert switch.is_disabled()
+    tab.get_by_role("button", name="64 drops").click()
+    switch.click()
+    command = tab.locator(".command pre").first
+    command.get_by_text("--runs 64 --uncertain --seed 0").wait_for()
+    tab.get_by_role("button", name="One drop").click()
+    command.get_by_text("dem-jax run").wait_for()
+    assert switch.is_disabled() and tab.said == []

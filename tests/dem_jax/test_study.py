@@ -530,6 +530,10 @@ def test_the_table_and_the_figure_are_made(done, tmp_path):
         "A ball on a plate" in said
         and "two independent drops, material.numerical_softening = 0.01" in said
     )
+    ends = (
+        "1 MPa (material.numerical_softening = 0.01) to 10 MPa (material.numerical_softening = 0.1)"
+    )
+    assert f"peaks are those of moduli E NSF of each point, from {ends}" in said
     rows = analysis.write_csv(found, tmp_path / "ball.csv").read_text().splitlines()
     assert len(rows) == 9 and rows[0].startswith(
         "material.numerical_softening,material.restitution,seed,peak (kg)"

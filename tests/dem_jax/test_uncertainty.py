@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from dem_jax.assembly.piece_arrays import build_piece_set
+from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
 from dem_jax.cli.main import main
 from dem_jax.errors import SceneError
-from dem_jax.runner.uncertain_draws import draw_uncertain_numbers, fix_piece_counts
+from dem_jax.runner.uncertain_draws import draw_uncertain_numbers, hold_portion
 from dem_jax.scene import load_scene, parse_scene
+from dem_jax.scene.material_properties import build_material_table
 from dem_jax.scene.ranges import draw_values, evaluate_cdf, evaluate_quantile
 from dem_jax.scene.sections.uncertain_number import UncertainNumber
 from dem_jax.study import analysis
@@ -21,6 +22,7 @@ from dem_jax.study.uncertain_parameters import fill_parameters, split_outputs, w
 from dem_jax.visualization.metrics import Metric
 from dem_jax.visualization.variance_decomposition import (
     choose_first_number,
+    describe_held_portion,
     describe_splits,
     draw_variance_shares,
     normal_scores,
@@ -161,17 +163,27 @@ product = "gummy-bear"
 """
 
 
-@pytest.mark.parametrize(
-    "scene",
-    [
-        load_scene("weigh-bucket", {"product": "hazelnut", "portion.target_weight": 0.02}),
-        parse_scene(MIXED),
-    ],
-    ids=["one", "two"],
-)
-def test_the_number_of_pieces_does_not_depend_on_a_drawn_density(scene):
-    held, drawn = draw_uncertain_numbers(scene, 4, 0, {"drop.height": [0.2, 0.3, 0.2, 0.3]})
-    assert drawn["drop.height"] == [0.2, 0.3, 0.2, 0.3] and len(drawn) == 1 + len(scene.uncertain)
+def test_a_portion_of_one_product_keeps_its_weight_whatever_its_density():
+    """20 g of kernels of about 1 g: within half of the lightest piece of each density."""
+    scene = load_scene("weigh-bucket", {"product": "hazelnut", "portion.target_weight": 0.02})
+    held, drawn = draw_uncertain_numbers(scene, 8, 0, {"drop.height": [0.2, 0.3] * 4})
+    assert drawn["drop.height"] == [0.2, 0.3] * 4 and len(drawn) == 1 + len(scene.uncertain)
+    counts = []
+    for density in drawn["material.density"]:
+        own = held.replace({"material.density": density})
+        masses = compute_masses(build_piece_set(own), build_material_table(own))
+        assert masses.sum() == pytest.approx(0.02, abs=0.6 * masses.mean())
+        counts.append(len(masses))
+    assert min(counts) == 18 and max(counts) == 23
+    assert describe_held_portion(held, drawn)[0].startswith("portions: each has the weight asked")
+    assert describe_held_portion(held, ["material.restitution"]) == []
+    fixed = hold_portion(scene.replace({"portion.count": 7}))
+    assert fixed.portion.count == 7 and "same number" in describe_held_portion(fixed, drawn)[0]
+
+
+def test_the_numbers_of_pieces_of_a_mixture_do_not_depend_on_a_drawn_density():
+    scene = parse_scene(MIXED)
+    held, drawn = draw_uncertain_numbers(scene, 4, 0, {})
     key = next(key for key in drawn if key.endswith("density"))
     own = build_piece_set(scene)
     for value in (0.5 * drawn[key][0], 2.0 * drawn[key][0]):
@@ -179,7 +191,8 @@ def test_the_number_of_pieces_does_not_depend_on_a_drawn_density(scene):
     assert len(build_piece_set(scene.replace({key: 2.0 * drawn[key][0]})).materials) < len(
         own.materials
     )
-    assert fix_piece_counts(load_scene("plate-drop")) == {}
+    plate = load_scene("plate-drop")
+    assert hold_portion(plate) == plate
 
 
 def test_a_scene_without_ranges_is_refused_in_one_line(capsys):
@@ -203,7 +216,7 @@ def test_a_study_of_ranges_takes_them_from_the_scene():
         study.parameter["material.restitution"].low,
         study.parameter["material.restitution"].high,
     ) == (0.1, 0.35)
-    assert study.base_scene().portion.count == 5 and fill_parameters(study) is study
+    assert study.base_scene().portion.count is None and fill_parameters(study) is study
     assert [study.member_seed(k) for k in (0, 1, 63)] == [0, 1, 63], (
         "drops of different points share no seed"
     )

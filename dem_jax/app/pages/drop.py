@@ -8,17 +8,25 @@ from nicegui import ui
 
 from dem_jax.app import facts
 from dem_jax.app.design import FIELDS, RUN_COUNTS, find_field_errors
-from dem_jax.app.facts import RunFacts
+from dem_jax.app.facts import RunFacts, ShareFacts
 from dem_jax.app.jobs import Job
 from dem_jax.app.pages import parts
 from dem_jax.app.session import Session
 from dem_jax.errors import RecordError, SceneError
 
 WORDS = {1: "One drop", 16: "16 drops", 64: "64 drops"}
+DRAW_WORDS = "Draw the product's unknown numbers"
+DRAW_HINT = (
+    "With its unknown numbers drawn from their ranges for each of several drops: "
+    "what is chance of the fall, what is not known, and which number to measure first."
+)
+NO_RANGES = "No number of this product has a range, so that none can be drawn."
 
 
 async def show_drop(session: Session) -> None:
     """The page."""
+    has_ranges = _has_ranges(session)
+    session.design = replace(session.design, uncertain=session.design.uncertain and has_ranges)
     parts.show_title("Drop", "Compute the drop, watch it, and read its numbers.")
     with ui.element("section").classes("panel").props('aria-label="Compute"'):
         with ui.element("div").classes("line"):
@@ -30,8 +38,10 @@ async def show_drop(session: Session) -> None:
             seed.props(
                 'outlined dense hint="Which arrangement of the pieces; of several drops each has the next."'
             ).classes("seed")
+            drawn = ui.switch(DRAW_WORDS, value=session.design.uncertain)
             start = ui.button("Drop", icon="play_arrow").props("no-caps unelevated")
         ui.label(_describe_design(session)).classes("small")
+        ui.label(DRAW_HINT if has_ranges else NO_RANGES).classes("small")
         if wrong := find_field_errors(session.design, session.folder.root):
             parts.show_error(parts.describe_errors(wrong))
         follow = parts.show_job(session, "drop", lambda job: finish(job), always=True)
@@ -53,7 +63,10 @@ async def show_drop(session: Session) -> None:
 
     def change() -> None:
         number = int(seed.value or 0)
-        session.design = replace(session.design, runs=int(runs.value), seed=max(number, 0))
+        session.design = replace(
+            session.design, runs=int(runs.value), seed=max(number, 0), uncertain=drawn.value
+        )
+        drawn.set_enabled(has_ranges and session.design.runs > 1)
         show_command()
 
     async def begin() -> None:
@@ -94,6 +107,8 @@ async def show_drop(session: Session) -> None:
 
     runs.on_value_change(change)
     seed.on_value_change(change)
+    drawn.on_value_change(change)
+    drawn.set_enabled(has_ranges and session.design.runs > 1)
     start.on_click(begin)
     ui.timer(0.2, wake)
     if "drop" in session.jobs and not session.jobs["drop"].is_over:
@@ -101,6 +116,14 @@ async def show_drop(session: Session) -> None:
         show_falling()
     else:
         await show_result()
+
+
+def _has_ranges(session: Session) -> bool:
+    """Whether a number of what falls is known within a range."""
+    try:
+        return bool(session.design.read_scene(session.folder.root).uncertain)
+    except SceneError:  # which the page shows
+        return False
 
 
 def find_source(name: str, member: int) -> str:
@@ -155,7 +178,9 @@ async def _show_result(
         box.props("outlined dense").classes("wide-field")
     try:
         path = str(session.folder.find_path(session.shown))
-        found = await session.workspace.helper.ask(facts.describe_run, path, session.member)
+        helper = session.workspace.helper
+        found = await helper.ask(facts.describe_run, path, session.member)
+        shares = await helper.ask(facts.describe_shares, path)
     except RecordError as error:
         with head:
             parts.show_error(str(error))
@@ -169,7 +194,7 @@ async def _show_result(
     with chart:
         _show_curves(found)
     with numbers:
-        _show_numbers(session, found)
+        _show_numbers(session, found, shares)
 
 
 def _show_curves(found: RunFacts) -> None:
@@ -182,13 +207,19 @@ def _show_curves(found: RunFacts) -> None:
         ui.label("Click into the force to see that instant.").classes("small")
 
 
-def _show_numbers(session: Session, found: RunFacts) -> None:
+def _show_numbers(session: Session, found: RunFacts, shares: ShareFacts | None) -> None:
     """Numbers with their bands, what they depend on, and where to go from here."""
     parts.show_table(
         ["number", "value"],
         found.numbers,
         "Numbers" if found.run_count == 1 else "Medians and bands",
     )
+    if shares is not None:
+        parts.show_heading(shares.title)
+        if shares.picture:
+            picture = f'<img alt="{shares.caption}" src="data:image/png;base64,{shares.picture}">'
+            ui.html(picture, sanitize=False).classes("figure")
+        parts.show_lines(shares.lines)
     parts.show_heading("What they depend on")
     parts.show_lines(session.folder.shorten_paths(found.notes))
     with ui.element("div").classes("line"):
