@@ -21,6 +21,7 @@ BENCHMARKS += (
     "calibration",
     "programs",
     "uncertainty",
+    "products",
     "draft",
     "weighing",
     "app",

@@ -82,6 +82,22 @@ def measure_number(args: Args) -> None:
     if args.into:
         _write_into(Path(args.into), found.to_tree(source))
         print(f"# written into {args.into}")
+    if args.kind == "modulus":
+        _print_softening(args.into or args.product, found.value)
+
+
+def _print_softening(product: str | None, modulus: float) -> None:
+    """Say what the softening of a product makes of a measured modulus (Pa). Raises SceneError."""
+    from dem_jax.scene.library import load_product
+    from dem_jax.scene.sections.material import Material
+
+    if product is None:
+        return
+    own = load_product(product, "products").get("material", {})
+    factor = own.get("numerical_softening", Material().numerical_softening)
+    if factor != 1:
+        words = f"pieces have E NSF = {factor * modulus:.3g} Pa; 1 is without softening"
+        print(f"# numerical_softening = {factor:g} of {product} multiplies the modulus: {words}")
 
 
 def _estimate_restitution(args: Args) -> "tuple[MeasuredNumber, str]":

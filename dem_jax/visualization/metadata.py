@@ -32,6 +32,7 @@ STIFFNESS_EXPONENTS = {
     "densifying": 0.5,
     "elastic-plastic": 0.4,
 }
+YIELDING_LAWS = ("elastic-plastic",)  # laws whose peaks stay below those of the modulus
 
 
 def find_main_group(run: Run) -> str | None:
@@ -87,7 +88,7 @@ def summarize_stiffness(run: Run) -> str:
         STIFFNESS_EXPONENTS[scene.contact.law],
         f"(E NSF)^{STIFFNESS_EXPONENTS[scene.contact.law]:g}",
     )
-    return f"{words}: of one impact they scale with {power}"
+    return f"{words}: of one impact they scale with {power}{_describe_yield(scene)}"
 
 
 def describe_peak_factors(scene: Scene) -> str:
@@ -167,7 +168,13 @@ def describe_peak_band(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
     softened = "" if scene.material.numerical_softening == 1 else " without softening (NSF = 1)"
     which = "the peak" if np.size(peaks) == 1 else "the median peak"
     low, high = (float(np.median(peaks)) * factor for factor in factors)
-    return f"band of {which}: {low:.3g} to {high:.3g} kg, as of one impact with a modulus of {_describe_modulus_ranges(scene)}{softened}"
+    product = f"a modulus of {_describe_modulus_ranges(scene)}{softened}{_describe_yield(scene)}"
+    return f"band of {which}: {low:.3g} to {high:.3g} kg, as of one impact with {product}"
+
+
+def _describe_yield(scene: Scene) -> str:
+    """Words for a law whose pieces yield, behind what follows from the modulus alone."""
+    return ", unless pieces yield" if scene.contact.law in YIELDING_LAWS else ""
 
 
 def find_softened_modulus(scene: Scene) -> float:

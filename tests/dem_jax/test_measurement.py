@@ -155,6 +155,8 @@ def test_the_commands_write_into_a_product_file(tmp_path, monkeypatch, capsys):
     )
     printed = capsys.readouterr().out
     assert 'source = "own measurement"' in printed and "[evidence.youngs_modulus]" in printed
+    softened = "numerical_softening = 0.1 of mine.toml multiplies the modulus: pieces have E NSF = 2.83e+06 Pa"
+    assert softened in printed
     scene = load_scene("weigh-bucket", {"product": "mine.toml"})
     assert scene.material.restitution == 0.4 and scene.material.friction_wall == pytest.approx(
         0.328, abs=1e-3
