@@ -365,6 +365,42 @@ def test_a_bent_flap_that_turns_exerts_the_forces_of_a_flat_one():
     )
 
 
+def test_a_sphere_in_the_crease_of_a_flap_that_turns_has_a_contact_on_each_side(impact):
+    """A flap of two panels that rise by 30 degrees from a crease turns by 15 degrees with a sphere
+    in it, without friction: the sphere stays in the crease, with the overlaps of statics, K s = W
+    sin(30 -+ 15 degrees) / sin(60 degrees), and the total force is its weight.
+
+    Tolerance: the spring is integrated from displacements, to second order in the step, and half a
+    step of the other forces is missing in the dashpot: 3e-7 m of a way of 4.5 mm. With one contact
+    it would be 2 mm.
+    """
+    rise, turn = np.radians((30.0, 15.0))
+    motion = [
+        {
+            "group": "plate",
+            "axis": (0.0, 1.0, 0.0),
+            "opening_angle_deg": 15.0,
+            "opening_time": 0.1,
+            "hold_time": 1.0,
+        }
+    ]
+    radius = BALL["radius"]
+    ball = {"shape": "sphere", "radius": radius, "position": (0, 0, radius / np.cos(rise) + 1e-6)}
+    walls = [{"group": "plate", "corners": c, "thickness": 0.01} for c in folded(30.0)]
+    run = {"precision": "f64", "duration": 0.25, "sample_interval": 1e-3, "frame_interval": 1e-2}
+    material = {"restitution": 0.1, "friction_wall": 0.0}
+    scene = Scene(piece=[ball], wall=walls, motion=motion, run=run, material=material)
+    found = dem_jax.simulate(scene.replace(contact={"law": "linear-dashpot"}))
+    weight = impact.mass * 9.81
+    last = np.asarray(found.mean_force["plate"])[-20:].mean(axis=0)
+    np.testing.assert_allclose(last, (0.0, 0.0, -weight), atol=1e-3 * weight)
+    centre = np.asarray(found.pieces.position)[-1, 0]
+    lean = (rise + turn, turn - rise)  # of the normals of the left and the right panel
+    overlap = [radius - centre @ (np.sin(angle), 0.0, np.cos(angle)) for angle in lean]
+    force = weight * np.sin([rise - turn, rise + turn]) / np.sin(2 * rise)
+    np.testing.assert_allclose(overlap, force / impact.stiffness, atol=3e-7)
+
+
 def rocking_box(duration, step):
     """A cube at e = 1 and without friction that slides down a trough of 11 facets, rocking on its
     two lower edges.
