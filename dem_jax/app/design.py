@@ -397,13 +397,14 @@ def write_bucket(
 
 
 def write_study(scene: str, title: str, key: str, values: Sequence[float], seeds: int) -> str:
-    """The TOML text of a study of one key: drops at each value."""
+    """The TOML text of a study of one key: drops at each value, with the step for quick answers."""
     outputs = ["peak", "peak_10ms", "time_to_rest", "time_to_weigh"]
     head: Tree = {
         "title": title,
         "scene": scene,
         "seeds": seeds,
         "design": "grid",
+        "draft": True,
         "outputs": outputs,
     }
     return dump_toml({**head, "parameter": {key: {"values": list(values)}}})

@@ -48,11 +48,13 @@ class BucketCard(NamedTuple):
 
 class SceneFacts(NamedTuple):
     """What is known of a scene before it is computed: notes and fill levels in words, and its
-    buckets in 3-D as JSON text, for player.js.
+    buckets in 3-D as JSON text, for player.js. error: why it cannot be computed as the buckets
+    stand; "": it can.
     """
 
     notes: list[str]
     view: str
+    error: str
 
 
 class Curve(NamedTuple):
@@ -250,7 +252,7 @@ def describe_scene(text: str, folder: str) -> SceneFacts:
         folder: that its files are in.
 
     Raises:
-        SceneError: it cannot be computed.
+        SceneError: it cannot be computed, wherever its buckets are.
     """
     from dem_jax.assembly.bucket_fill import bucket_capacity, check_buckets_meet
     from dem_jax.assembly.piece_arrays import build_piece_set
@@ -262,11 +264,11 @@ def describe_scene(text: str, folder: str) -> SceneFacts:
 
     scene = parse_scene(text, Path(folder) / "new.toml")
     read = inline_buckets(scene)
-    notes = [
-        *filter(None, [describe_portion(scene)]),
-        *describe_fills(read),
-        *check_buckets_meet(scene, read),
-    ]
+    notes, error = [*filter(None, [describe_portion(scene)]), *describe_fills(read)], ""
+    try:
+        notes += check_buckets_meet(scene, read)
+    except SceneError as told:
+        error = str(told)
     notes += [*describe_stickiness(scene), *list_wall_notes(scene), *list_piece_notes(scene)]
     capacity = bucket_capacity(read, "weigh_bucket")
     goods = build_piece_set(scene)
@@ -284,7 +286,7 @@ def describe_scene(text: str, folder: str) -> SceneFacts:
     )
     times = np.linspace(0.0, end + scene.feed_bucket.closing_time, INSTANTS)
     view = {"view": view_walls(read, times, level), "more": False, "span": 0.0}
-    return SceneFacts(notes, json.dumps(view))
+    return SceneFacts(notes, json.dumps(view), error)
 
 
 def find_level(capacity: Any, heap: float) -> np.ndarray | None:

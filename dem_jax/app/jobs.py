@@ -70,6 +70,12 @@ class Job:
         last = self.errors[-1] if self.errors else "it gave no reason"
         return f"{self.state}: {last}"
 
+    @property
+    def notes(self) -> list[str]:
+        """What it noted on standard error, beside its results."""
+        found = [line.partition(": ") for line in self.errors]
+        return [text for kind, _, text in found if kind in ("note", "warning")]
+
     def read_progress(self, text: str, is_whole: bool = True) -> None:
         """Take a line of standard error: of a progress bar, or a message. is_whole: whether it has
         ended.

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from dem_jax.io.run_data import Run
 from dem_jax.visualization.metadata import find_main_block, find_main_group
@@ -171,6 +170,8 @@ def _second_peak(t: OutputTraces) -> tuple[np.ndarray, np.ndarray]:
 
     Bursts are those of means over BURST, with a prominence of at least PROMINENCE of the highest.
     """
+    from scipy.signal import find_peaks  # loaded where it is used: it takes half a second
+
     height, later = np.full((2, len(t.force)), np.nan)
     for k, row in enumerate(_running_mean(t.force, max(1, round(BURST / t.run.sample)))):
         top = int(row.argmax())

@@ -274,6 +274,9 @@ def draw_readings_figure(rows: Sequence[ScaleReadings], tolerances: Sequence[flo
         truth = 1e3 * float(np.median(known))
         left.axhline(truth, color=INK, lw=0.8, ls="--", label="what lies there in the end")
         left.set_ylim(-0.1 * HEAD_ROOM * truth, HEAD_ROOM * truth)
+    else:
+        words = "no error is known:\nthe runs ended before all pieces were at rest"
+        right.text(0.5, 0.5, words, ha="center", va="center", transform=right.transAxes)
     left.set_ylabel("reading (g)")
     right.set_yscale("log")
     right.set_ylim(LEAST_ERROR, None)

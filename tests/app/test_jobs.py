@@ -4,6 +4,7 @@ import asyncio
 import os
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -28,7 +29,9 @@ def test_progress_and_time_left_are_read_from_the_bar():
     for text in ("dt = 6e-06 s", BAR):
         job.read_progress(text)
     assert (job.share, job.message) == (0.34, "settling, 34 %, 00:03 left")
-    assert job.errors == ["dt = 6e-06 s"]
+    assert job.errors == ["dt = 6e-06 s"] and job.notes == []
+    job.read_progress("note: 2 of 16 drops did not settle")
+    assert job.notes == ["2 of 16 drops did not settle"]
 
 
 def test_a_job_runs_what_its_command_says(tmp_path):
@@ -205,6 +208,8 @@ def test_the_server_answers_when_it_says_where_and_leaves_no_process(tmp_path, n
         asked = HTTPConnection(where.netloc, timeout=60)
         asked.request("GET", f"/?{where.query}")
         assert asked.getresponse().status == 303, "to the page without the token"
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", where.port), timeout=5)  # any other address
         children = list_children(server.pid)
         assert len(children) >= 2, "the helper, and the process of the next drop"
     finally:

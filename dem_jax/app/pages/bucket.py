@@ -77,6 +77,8 @@ async def show_bucket(session: Session) -> None:
         parts.change_view(view, f"source=/preview/{key}{keeps}{moves}")
         notes.clear()
         with notes:
+            if found.error:
+                parts.show_error(found.error)
             parts.show_lines(session.folder.shorten_paths(found.notes))
 
     async def refresh() -> None:
@@ -255,9 +257,11 @@ def _show_stl(session: Session, name: str, found: BucketStlFacts, refresh: Actio
                 )
                 session.design = session.design.with_bucket(bucket)
                 text = session.design.to_toml()
-                await session.workspace.helper.ask(
+                scene = await session.workspace.helper.ask(
                     facts.describe_scene, text, str(session.folder.root)
                 )
+                if scene.error:
+                    raise SceneError(scene.error)
             except (RecordError, SceneError) as error:
                 session.design = before
                 session.folder.find_path(bucket).unlink(missing_ok=True)

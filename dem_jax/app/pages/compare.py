@@ -1,6 +1,5 @@
 """Page 4: results over each other, and what another value would give."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +14,10 @@ from dem_jax.app.session import Session
 from dem_jax.errors import RecordError, SceneError
 
 MOST_COMPARED = 6
+DRAFT = (
+    "For a quick answer it is computed with twice the default step (run.accuracy = draft), unless the scene says "
+    "how long the step is; a drop of the page Drop is not."
+)
 
 
 class Question(NamedTuple):
@@ -133,6 +136,7 @@ async def _show_question(session: Session) -> None:
             )
             drops.props("outlined dense").classes("seed")
             start = ui.button("Find out", icon="query_stats").props("no-caps unelevated")
+        ui.label(DRAFT).classes("small")
         command = ui.element("div")
         answer = ui.element("div").props("aria-live=polite")
 
@@ -176,7 +180,7 @@ async def _show_question(session: Session) -> None:
         async def finish(job: Job) -> None:
             answer.clear()
             with answer:
-                show_answer(job.lines, session.opened_jobs["study"])
+                show_answer(job, session.opened_jobs["study"])
 
         key.on_value_change(set_range)
         start.on_click(begin)
@@ -184,10 +188,11 @@ async def _show_question(session: Session) -> None:
         follow = parts.show_job(session, "study", finish)
 
 
-def show_answer(lines: Sequence[str], study: str) -> None:
-    """The figure of a study, and its table in words."""
+def show_answer(job: Job, study: str) -> None:
+    """The figure of a study, its table in words, and above it what it noted."""
+    parts.show_lines(job.notes)
     words = f"Answer of {Path(study).stem}: medians and 5 to 95 % bands"
     ui.html(f'<img alt="{words}" src="/files/{study}.png?inline=true">', sanitize=False).classes(
         "figure"
     )
-    parts.show_text("pre", "\n".join(lines)).props("tabindex=0")
+    parts.show_text("pre", "\n".join(job.lines)).props("tabindex=0")

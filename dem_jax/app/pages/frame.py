@@ -44,6 +44,10 @@ def show_frame(session: Session) -> None:
 
 
 async def _show_page(session: Session, path: str) -> None:
-    """A page; its step is marked."""
-    ui.run_javascript(f"markStep({path!r})")
-    await PAGES[path][1](session)
+    """A page; its step is marked, and whether it is complete."""
+    client = ui.context.client
+    client.run_javascript(f"markStep({path!r})")
+    try:
+        await PAGES[path][1](session)
+    finally:
+        client.run_javascript(f"markComplete({path!r})")

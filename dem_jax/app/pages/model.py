@@ -1,6 +1,5 @@
 """Page 5: the scale's reading, the Product Model, and files to take along."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -135,7 +134,7 @@ def _show_weigh(session: Session, has_cell: bool, count: int) -> None:
                 show_figure(
                     f"{Path(job.argv[2]).stem}-weigh.png",
                     "Readings of the scale and their error",
-                    job.lines,
+                    job,
                 )
 
         follow = parts.show_job(session, "weigh", finish)
@@ -196,7 +195,7 @@ def _show_fit(session: Session, count: int) -> None:
         async def finish(job: Job) -> None:
             result.clear()
             with result:
-                show_figure(f"{stem}-fit.png", "Traces and the fitted model", job.lines)
+                show_figure(f"{stem}-fit.png", "Traces and the fitted model", job)
 
         follow = parts.show_job(session, "fit", finish)
         forced.on_value_change(write_command)
@@ -204,12 +203,13 @@ def _show_fit(session: Session, count: int) -> None:
         write_command()
 
 
-def show_figure(name: str, words: str, lines: Sequence[str]) -> None:
-    """A picture that a command drew, and what it printed."""
+def show_figure(name: str, words: str, job: Job) -> None:
+    """A picture that a command drew, what it printed, and above it what it noted."""
+    parts.show_lines(job.notes)
     ui.html(f'<img alt="{words}" src="/files/{name}?inline=true">', sanitize=False).classes(
         "figure"
     )
-    parts.show_text("pre", "\n".join(lines)).props("tabindex=0")
+    parts.show_text("pre", "\n".join(job.lines)).props("tabindex=0")
 
 
 def _show_downloads(session: Session) -> None:

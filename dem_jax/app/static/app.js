@@ -1,4 +1,4 @@
-// Marks the step of the page, and joins the 3-D view of a drop with the cursor in its force.
+// Marks the step of the page and whether it is complete, and joins the 3-D view of a drop with the cursor in its force.
 "use strict";
 
 function markStep(path) {
@@ -6,7 +6,13 @@ function markStep(path) {
     if (link.dataset.path === path) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
+  document.querySelector(".content").setAttribute("aria-busy", "true");
   window.scrollTo(0, 0);
+}
+
+function markComplete(path) {
+  const step = document.querySelector("nav .step[aria-current]");
+  if (step && step.dataset.path === path) document.querySelector(".content").setAttribute("aria-busy", "false");
 }
 
 // Shows another source in a 3-D view; the same one goes on.

@@ -77,11 +77,14 @@
     return isMoved ? now.walls.filter((_, k) => now.groups[k].startsWith("wb")) : [];
   }
 
+  // Where the bucket's surface is below the pointer; its edges are lines, which count from a metre away.
+  const hitAt = (event, walls) => rayAt(event).intersectObjects(walls, true).find(({ object }) => object.isMesh);
+
   canvas.addEventListener("pointerdown", (event) => {
     const walls = bucketWalls();
     if (!walls.length || event.button !== 0) return;
     const { THREE, camera } = dropPlayer.world();
-    const [hit] = rayAt(event).intersectObjects(walls, true);
+    const hit = hitAt(event, walls);
     if (!hit) return;
     event.stopImmediatePropagation(); // the view does not turn
     const look = camera.getWorldDirection(new THREE.Vector3());
@@ -94,7 +97,7 @@
 
   canvas.addEventListener("pointermove", (event) => {
     if (!drag) {
-      canvas.style.cursor = bucketWalls().length && rayAt(event).intersectObjects(bucketWalls(), true).length ? "move" : "";
+      canvas.style.cursor = hitAt(event, bucketWalls()) ? "move" : "";
       return;
     }
     event.stopImmediatePropagation();
