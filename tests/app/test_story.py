@@ -206,7 +206,8 @@ def test_a_bucket_is_dragged_and_moved_by_numbers(page):
     along_x, along_y, up = (float(number.input_value()) for number in numbers)
     assert along_x == 0.0 and along_y > 10.0 and up > 10.0, "in the plane that faces the eye"
     fill(page, "Move along y (mm)", 300)
-    page.get_by_role("alert").get_by_text("is not over that of the weigh bucket").wait_for()
+    why = page.get_by_text("% of the feed bucket's mouth is not over that of the weigh bucket")
+    why.first.wait_for()  # at the field
     step(page, "Product")
     step(page, "Bucket and release")
     drag_bucket(page, -5, 0)  # it is seen there, too

@@ -1,9 +1,11 @@
 """Page 2: the bucket, how the portion is released, and the load cell."""
 
+import re
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from nicegui import events, ui
 
@@ -24,13 +26,23 @@ from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene
 
 Action = Callable[[], Awaitable[None]]
-MoveAction = Callable[[Sequence[float], bool], Awaitable[None]]  # by how much (m), whether it ends
 LONGEST = 400  # ms of the timeline of the flaps
 PLACE_HINTS = (
     "From the middle of its mouth under the feed bucket.",
     "From the middle of its mouth under the feed bucket.",
     "Up, from where its lowest point is at the drop height.",
 )
+
+
+class Place(NamedTuple):
+    """The fields of an STL bucket's place.
+
+    move: takes by how much (m) it is dragged, and whether the drag ends. tell: takes why it cannot
+    be there; "": it can.
+    """
+
+    move: Callable[[Sequence[float], bool], Awaitable[None]]
+    tell: Callable[[str], None]
 
 
 async def show_bucket(session: Session) -> None:
@@ -48,7 +60,7 @@ async def show_bucket(session: Session) -> None:
             command = ui.element("div")
 
     seen: list[str] = []  # the bucket in the 3-D view
-    moved: list[MoveAction] = []  # what the form does when the bucket is dragged
+    places: list[Place] = []  # of the bucket that can be dragged
 
     async def show_view() -> None:
         text = session.design.to_toml()
@@ -75,6 +87,8 @@ async def show_bucket(session: Session) -> None:
         keeps = "&keeps" if seen == [session.design.bucket] else ""
         seen[:] = [session.design.bucket]
         parts.change_view(view, f"source=/preview/{key}{keeps}{moves}")
+        for fields in places:
+            fields.tell(found.error)
         notes.clear()
         with notes:
             if found.error:
@@ -84,14 +98,14 @@ async def show_bucket(session: Session) -> None:
     async def refresh() -> None:
         form.clear()
         with form:
-            moved.clear()
-            await _show_form(session, refresh, show_view, moved.append)
+            places.clear()
+            await _show_form(session, refresh, show_view, places.append)
         await show_view()
 
     async def move_bucket(event: events.GenericEventArguments) -> None:
         *by, is_over = event.args["detail"]
-        for move in moved:
-            await move(by, is_over)
+        for fields in places:
+            await fields.move(by, is_over)
 
     place.on("bucketmoved", move_bucket, ["detail"])
 
@@ -99,7 +113,7 @@ async def show_bucket(session: Session) -> None:
 
 
 async def _show_form(
-    session: Session, refresh: Action, show_view: Action, follow: Callable[[MoveAction], None]
+    session: Session, refresh: Action, show_view: Action, follow: Callable[[Place], None]
 ) -> None:
     """Bucket, release and load cell."""
     try:
@@ -149,8 +163,8 @@ async def _show_form(
     ui.button("Next: drop", on_click=lambda: ui.navigate.to("/drop")).props("no-caps unelevated")
 
 
-def _show_place(session: Session, scene: Scene, show_view: Action) -> MoveAction:
-    """Where an STL bucket of one's own is, in numbers; returns what is done when it is dragged."""
+def _show_place(session: Session, scene: Scene, show_view: Action) -> Place:
+    """Where an STL bucket of one's own is, in numbers."""
     assert scene.weigh_bucket is not None
     of_file = scene.weigh_bucket.move
     at = session.design.move or of_file
@@ -179,9 +193,16 @@ def _show_place(session: Session, scene: Scene, show_view: Action) -> MoveAction
             begun["at"] = None
             await take()
 
+    def tell(error: str) -> None:
+        words = re.sub(r" \([^)]*\)", "", error.partition(": ")[2].partition("; allowed")[0])
+        for box in boxes[
+            :2
+        ]:  # the mouth of the feed bucket is above the weigh bucket, or it is not
+            box.error = words or None
+
     for box in boxes:
         box.on_value_change(take)
-    return move
+    return Place(move, tell)
 
 
 def _show_timeline(scene: Scene, fields: parts.Fields) -> None:
