@@ -32,6 +32,11 @@ class FieldText(NamedTuple):
     step: float
 
     @property
+    def title(self) -> str:
+        """Label and unit."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+    @property
     def allowed(self) -> str:
         """The values that are allowed, in words and in the unit that is shown."""
         model: Any = SceneModel

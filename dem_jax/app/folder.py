@@ -4,8 +4,10 @@ import os
 import re
 import secrets
 import struct
+import tomllib
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from dem_jax.errors import RecordError
@@ -69,11 +71,11 @@ class Folder:
 
     def list_products(self) -> list[str]:
         """Names of the products of one's own, relative to the folder."""
-        return self._list(PRODUCTS, (".toml",))
+        return self._list_own(PRODUCTS)
 
     def list_buckets(self) -> list[str]:
         """Names of the buckets of one's own, relative to the folder."""
-        return self._list(BUCKETS, (".toml",))
+        return self._list_own(BUCKETS)
 
     def list_files(self, ending: str, begins: str) -> list[str]:
         """Names of the files with an ending that begin so, the newest first."""
@@ -97,6 +99,15 @@ class Folder:
             if is_plain and path.is_file() and path.resolve().is_relative_to(self.root):
                 found.append((path.stat().st_mtime_ns, name))
         return [name for _, name in sorted(found, reverse=True)]
+
+    def _list_own(self, below: str) -> list[str]:
+        """Names of the TOML files below the folder that can be read and name no file outside."""
+        found = []
+        for name in self._list(below, (".toml",)):
+            with suppress(OSError, ValueError, RecordError):
+                self.check_references(tomllib.loads((self.root / name).read_text("utf-8")), below)
+                found.append(name)
+        return found
 
     def reserve_stem(
         self, stem: str, text: str, ending: str = ".toml", others: tuple[str, ...] = (".h5",)
@@ -162,13 +173,12 @@ class Folder:
         except OSError as error:
             raise RecordError(f"{name}: {error.strerror}") from error
 
-    def check_references(self, tree: object) -> None:
-        """Raise RecordError where a scene's tree names a file outside of the folder."""
+    def check_references(self, tree: object, below: str = "") -> None:
+        """Raise RecordError where the tree of a file, below the folder, names one outside of it."""
         for key, value in _list_references(tree):
             is_file = "/" in value or "\\" in value or value.lower().endswith((".toml", ".stl"))
-            if is_file and not (self.root / value.partition(":")[0]).resolve().is_relative_to(
-                self.root
-            ):
+            path = self.root / below / value.partition(":")[0]
+            if is_file and not path.resolve().is_relative_to(self.root):
                 raise RecordError(
                     f"{key} = {value!r} leads out of the folder; allowed: files in it"
                 )

@@ -107,18 +107,17 @@ def _force_metrics(run: Run, group: str) -> list[Metric]:
 def format_metric(number: Metric) -> str:
     """Value and unit; for an ensemble the median, the band, and the number of runs without a value."""
     missing = int((~np.isfinite(number.values)).sum())
+    unit = f" {number.unit}" if number.unit else ""
     if len(number.values) == 1:
         return (
-            f"{number.median:.{number.digits}g} {number.unit}".rstrip()
-            if not missing
-            else number.missing or "none"
+            f"{number.median:.{number.digits}g}{unit}" if not missing else number.missing or "none"
         )
     why = f": {number.missing}" if number.missing else ""
     if missing == len(number.values):
         return f"none{why}"
     (low, high), d = number.band, number.digits
     without = f"; {missing} of {len(number.values)} runs have none{why}" if missing else ""
-    return f"{number.median:.{d}g} {number.unit} (median; 5 to 95 %: {low:.{d}g} to {high:.{d}g} {number.unit}{without})"
+    return f"{number.median:.{d}g}{unit} (median; 5 to 95 %: {low:.{d}g} to {high:.{d}g}{unit}{without})"
 
 
 def peaks_per_window(

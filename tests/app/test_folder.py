@@ -119,6 +119,18 @@ def test_a_scene_that_names_files_elsewhere_is_refused(tmp_path):
             folder.check_references(tree)
 
 
+def test_products_that_name_files_elsewhere_or_cannot_be_read_are_not_listed(tmp_path):
+    folder = Folder(tmp_path / "own")
+    (tmp_path / "secret.stl").write_bytes(binary_stl())
+    products = folder.root / "products"
+    products.mkdir()
+    os.symlink(tmp_path / "secret.stl", products / "link.stl")
+    for name, stl in (("a", "a.stl"), ("b", "../../secret.stl"), ("c", "link.stl")):
+        (products / f"{name}.toml").write_text(f"[portion]\nstl = '{stl}'\n")
+    (products / "d.toml").write_text("[portion")
+    assert folder.list_products() == ["products/a.toml"]
+
+
 def test_any_text_makes_a_plain_name():
     assert clean_stem("Brötchen/..") == "Br-tchen"
     assert clean_stem("..") == clean_stem("") == "part"

@@ -45,7 +45,7 @@ async def show_compare(session: Session) -> None:
         "Compare", "Put results over each other, and ask what another value would give."
     )
     names = session.folder.list_results()
-    session.compared = [name for name in session.compared if name in names] or names[:2]
+    session.compared = [name for name in session.compared if name in names] or names[1::-1]
     with ui.element("section").classes("panel").props('aria-label="Results"'):
         parts.show_heading("Results over each other")
         if len(names) < 2:
@@ -101,7 +101,7 @@ async def _show_comparison(session: Session) -> None:
                 "Their scenes have the same keys and values; they differ by their seeds."
             ).classes("small")
         parts.show_heading("By how much, and whether beyond chance")
-        parts.show_lines(found.lines)
+        parts.show_lines(sorted(found.lines, key=lambda line: "chance" not in line))
     parts.show_command(
         [["dem-jax", "plot", *session.compared, "--out", "comparison.png"]],
         "The command of this comparison",
@@ -119,7 +119,7 @@ async def _show_question(session: Session) -> None:
             return
         questions = {question.key: question for question in QUESTIONS}
         key = ui.select(
-            {name: FIELDS[name].label for name in questions},
+            {name: FIELDS[name].title for name in questions},
             value="drop.height",
             label="What changes",
         )

@@ -129,10 +129,9 @@ class Fields:
 
     def _show_one(self, text: FieldText, value: float | None, note: str) -> None:
         shown = None if value is None else float(f"{value / text.factor:.6g}")
-        label = f"{text.label} ({text.unit})" if text.unit else text.label
         hint = f"{text.sentence} Allowed: {text.allowed}.{f' {note}' if note else ''}"
         box = ui.number(
-            label, value=shown, step=text.step, on_change=lambda e: self._change(text, e.value)
+            text.title, value=shown, step=text.step, on_change=lambda e: self._change(text, e.value)
         )
         box.props("outlined dense debounce=300").classes("field").props["hint"] = hint
         self._inputs[text.key] = box
@@ -329,7 +328,7 @@ def _make_options(
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
         "grid": [
             {"left": 56, "right": 18, "top": 52, "height": "44%"},
-            {"left": 56, "right": 18, "bottom": 62, "height": "20%"},
+            {"left": 56, "right": 18, "bottom": 74, "height": "20%"},
         ],
         "xAxis": [
             {**time, "gridIndex": 0, "axisLabel": {"show": False}},
@@ -347,7 +346,7 @@ def _make_options(
         ],
         "dataZoom": [
             {"type": "inside", "xAxisIndex": [0, 1], "zoomOnMouseWheel": "ctrl", **shown},
-            {"type": "slider", "xAxisIndex": [0, 1], "height": 16, "bottom": 6, **shown},
+            {"type": "slider", "xAxisIndex": [0, 1], "height": 16, "bottom": 14, **shown},
         ],
         "series": series,
     }

@@ -116,7 +116,7 @@ async def _show_choice(session: Session, refresh: Callable[[], Awaitable[None]])
     card = await session.workspace.describe_product(design.product)
     parts.show_heading(card.text.partition(": ")[0])
     ui.html(card.picture, sanitize=False).classes("picture large")
-    ui.label(f"{card.weight:.4g} g a piece. {card.text.partition(': ')[2]}").classes("lead")
+    ui.label(f"{card.weight:.4g} g a piece: {card.text.partition(': ')[2]}").classes("lead")
     parts.show_lines(card.notes)
     if card.states:
         _show_states(session, card, refresh)

@@ -18,6 +18,7 @@
     const mine = ++turn;
     source = wanted.get("source");
     const options = { plays: wanted.has("plays"), keeps: wanted.has("keeps"), follows: false };
+    if (!options.keeps) shown.textContent = "reading …";
     for (let more = true; more; ) {
       const since = performance.now();
       const answer = await fetch(source, { cache: "no-store" }).catch(() => null);
