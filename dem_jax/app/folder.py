@@ -105,7 +105,8 @@ class Folder:
         found = []
         for name in self._list(below, (".toml",)):
             with suppress(OSError, ValueError, RecordError):
-                self.check_references(tomllib.loads((self.root / name).read_text("utf-8")), below)
+                text = (self.root / name).read_text(encoding="utf-8")
+                self.check_references(tomllib.loads(text), below)
                 found.append(name)
         return found
 

@@ -1,5 +1,6 @@
 """Page 5: the scale's reading, the Product Model, and files to take along."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -90,8 +91,17 @@ async def show_model(session: Session) -> None:
         return
     has_cell = "weigh_bucket.load_cell" in " ".join(found.settings)
     _show_weigh(session, has_cell, found.run_count)
-    _show_fit(session, found.run_count)
-    _show_downloads(session)
+    fit = ui.element("div")
+    files = ui.element("div")
+
+    def show_files() -> None:
+        files.clear()
+        with files:
+            _show_downloads(session)
+
+    with fit:
+        _show_fit(session, found.run_count, show_files)
+    show_files()
 
 
 def _show_weigh(session: Session, has_cell: bool, count: int) -> None:
@@ -167,8 +177,8 @@ def _show_learning(session: Session, has_cell: bool, count: int, weigher: ui.sel
     start.on_click(lambda: follow(session.workspace.runner.enter(argv)))
 
 
-def _show_fit(session: Session, count: int) -> None:
-    """The Product Model of several drops, with its judgement."""
+def _show_fit(session: Session, count: int, show_files: Callable[[], None]) -> None:
+    """The Product Model of several drops, with its judgement. show_files: called when it is there."""
     with ui.element("section").classes("panel").props('aria-label="Product Model"'):
         parts.show_heading("Product Model")
         if count < 2:
@@ -196,6 +206,7 @@ def _show_fit(session: Session, count: int) -> None:
             result.clear()
             with result:
                 show_figure(f"{stem}-fit.png", "Traces and the fitted model", job)
+            show_files()
 
         follow = parts.show_job(session, "fit", finish)
         forced.on_value_change(write_command)
