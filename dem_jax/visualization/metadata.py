@@ -32,6 +32,7 @@ STIFFNESS_EXPONENTS = {
     "densifying": 0.5,
     "elastic-plastic": 0.4,
 }
+ROUNDING = 1e-9  # of masses
 YIELDING_LAWS = ("elastic-plastic",)  # laws whose peaks stay below those of the modulus
 
 
@@ -53,8 +54,8 @@ def collect_facts(run: Run) -> dict[str, Facts]:
     """
     scene = parse_scene(run.scene, "the file's scene")
     product = _product_facts(scene)
-    if "piece_counts" in run.info:
-        product.append(("in the runs", describe_piece_count(run)))
+    if (portions := describe_portions(run)) is not None:
+        product.append(("in the runs", portions))
     return {
         "Product": product,
         "Scene": _scene_facts(scene, run),
@@ -190,11 +191,31 @@ def _describe_moduli(table: MaterialTable) -> str:
     )
 
 
-def total_weight(run: Run) -> float:
-    """Mass (kg) of all pieces of a run. Raises SceneError."""
-    return float(
-        compute_masses(*_pieces_and_materials(parse_scene(run.scene, "the file's scene"))).sum()
+def portion_weights(run: Run) -> np.ndarray:
+    """Mass (kg) of all pieces of each run of an ensemble, [K], or of a single run, [1]. Raises
+    SceneError.
+    """
+    rows = run.info.get("piece_masses")
+    if not rows:
+        own = compute_masses(*_pieces_and_materials(parse_scene(run.scene, "the file's scene")))
+        return np.broadcast_to(own.sum(), run.piece_counts.shape)
+    lists = rows if isinstance(rows[0], list) else [rows] * len(run.piece_counts)
+    return np.array(
+        [
+            row[0] * count if len(row) == 1 else sum(row)
+            for row, count in zip(lists, run.piece_counts, strict=True)
+        ]
     )
+
+
+def describe_portions(run: Run) -> str | None:
+    """Numbers of pieces and weights of the runs of an ensemble, in words; None: they are equal.
+    Raises SceneError.
+    """
+    grams = 1e3 * portion_weights(run)
+    if np.ptp(grams) <= ROUNDING * grams.max():
+        return None
+    return f"{describe_piece_count(run)}, {_format_range(grams)} g"
 
 
 def describe_piece_count(run: Run) -> str:

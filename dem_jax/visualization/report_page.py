@@ -24,7 +24,7 @@ from dem_jax.visualization.metadata import (
     describe_stiffness,
     find_main_block,
     find_main_group,
-    total_weight,
+    portion_weights,
 )
 from dem_jax.visualization.metrics import compute_metrics, format_metric, peaks_per_window
 from dem_jax.visualization.run_figure import check_format, draw_run_figure
@@ -275,7 +275,8 @@ def _metric_columns(named: Sequence[NamedRun], group: str | None) -> list[dict[s
             column["what the peak rests on"] = describe_peak_band(
                 each.run, each.run.pif_kg(of).max(axis=-1)
             )
-        column["weight of the pieces"] = dict(collect_facts(each.run)["Product"])["together"]
+        facts = dict(collect_facts(each.run)["Product"])
+        column["weight of the pieces"] = facts.get("in the runs", facts["together"])
     return columns
 
 
@@ -310,14 +311,13 @@ def _describe_unsettled(each: NamedRun) -> str | None:
     block = find_main_block(each.run)
     if block is None:
         return None
-    settled, weight = (
-        1e3 * float(np.median(each.run.settled_mass[block][..., -1])),
-        1e3 * total_weight(each.run),
-    )
+    weights = portion_weights(each.run)
+    settled = np.broadcast_to(each.run.settled_mass[block][..., -1], weights.shape)
+    grams = (1e3 * float(np.median(masses)) for masses in (settled, weights))
     why = find_rest(each.run, None, block).describe()
     said = (
-        [f"When {each.name} ended, {settled:.4g} g of {weight:.4g} g had settled."]
-        if settled <= 0.99 * weight
+        ["When {} ended, {:.4g} g of {:.4g} g had settled.".format(each.name, *grams)]
+        if np.median(settled / weights) <= 0.99
         else []
     )
     return " ".join([*said, *([f"{each.name}: {why}."] if why else [])]) or None

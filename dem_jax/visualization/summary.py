@@ -14,6 +14,7 @@ from dem_jax.visualization.metadata import (
     describe_peak_band,
     describe_piece_count,
     describe_portion,
+    describe_portions,
     describe_stickiness,
     find_main_block,
     find_main_group,
@@ -33,7 +34,7 @@ def summarize_run(run: Run) -> list[str]:
     """
     info = run.info
     lines = [info["step"]] if "step" in info else []
-    pieces = describe_piece_count(run)
+    pieces = describe_portions(run) or describe_piece_count(run)
     if run.run_count is not None:
         pieces = f"{run.run_count} runs of {pieces}"
     scene = parse_scene(run.scene, "the file's scene")

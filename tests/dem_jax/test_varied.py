@@ -20,6 +20,7 @@ from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.io import run_files, series
 from dem_jax.runner import executors, job_setup, parameter_sweep, programs
 from dem_jax.scene import load_scene, parse_scene
+from dem_jax.visualization.metadata import collect_facts, portion_weights
 from dem_jax.visualization.summary import summarize_run
 
 BALLS = {
@@ -126,6 +127,11 @@ def test_an_ensemble_over_the_number_of_pieces_is_gone_on_with_and_described(cou
     assert "portion.count: 2 to 3 (2 values)" in lines and any(
         line.startswith("3 runs of 2 to 3 pieces") for line in lines
     )
+    weights = portion_weights(whole)
+    each = [portion_weights(whole.member(k))[0] for k in range(3)]
+    assert weights == pytest.approx(each, rel=1e-12) and weights[0] < weights[1] > weights[2]
+    said = f"2 to 3 pieces, {1e3 * weights.min():.4g} to {1e3 * weights.max():.4g} g"
+    assert ("in the runs", said) in collect_facts(whole)["Product"]
     assert [target.pieces for target in targets.read(counted)] == COUNTS
     with h5py.File(counted, "a") as file:
         file.attrs["info"] = file.attrs["info"].replace("[2, 3, 2]", "[2, 4, 2]")
