@@ -14,6 +14,7 @@ from dem_jax.scene.toml_text import dump_toml
 Tree = dict[str, Any]
 BASE = "weigh-bucket"  # the stock scene that every design starts from
 RUN_COUNTS = (1, 16, 64)
+BASE_UNITS = {"mm": "m", "ms": "s", "g": "kg", "MPa": "Pa"}  # of scenes, of those that are shown
 SIGNS = {">=": "at least", "<=": "up to", ">": "above", "<": "below"}  # of a range, in words
 
 
@@ -412,4 +413,6 @@ def write_study(scene: str, title: str, key: str, values: Sequence[float], seeds
         "draft": True,
         "outputs": outputs,
     }
-    return dump_toml({**head, "parameter": {key: {"values": list(values)}}})
+    text = FIELDS[key]
+    label = text._replace(unit=BASE_UNITS.get(text.unit, text.unit)).title
+    return dump_toml({**head, "parameter": {key: {"values": list(values), "label": label}}})

@@ -163,6 +163,7 @@ def test_a_question_is_a_study():
     study = Study.model_validate(tree | {"name": "what-if", "scene": "weigh-bucket"})
     assert study.parameter["drop.height"].values == (0.2, 0.25) and study.seeds == 4
     assert study.base_scene().run.accuracy.draft, "a quick answer"
+    assert study.parameter["drop.height"].label == "Drop height (m)"
 
 
 def test_a_picture_is_to_scale():
