@@ -21,7 +21,6 @@ from dem_jax.study.results_file import StudyResults
 OUTPUTS = ("portion_weight", "peak", "time_to_rest", "time_to_weigh", "settled")
 HEAD = ("product", "pieces", "portion (g)", "peak (kg)", "time to rest (ms)", "time to weigh (ms)")
 HEAD += ("settled (g)", "CPU time (s)")
-TIMES = "products.json"  # CPU times (s) of products, beside their results
 
 
 def select_product(study: Study, product: str) -> Study:
@@ -30,28 +29,27 @@ def select_product(study: Study, product: str) -> Study:
     return study.model_copy(update={"name": f"products-{product}", "parameter": parameter})
 
 
-def conducted(study: Study, product: str) -> tuple[StudyResults, float]:
-    """The results of a product's drops, and the CPU time (s) of all of them."""
+def conducted(study: Study, product: str, quick: bool) -> tuple[StudyResults, float | None]:
+    """The results of a product's drops, and the CPU time (s) of all of them, unless a part was done
+    before.
+    """
     own = select_product(study, product)
-    file, kept = report.place(f"{own.name}.h5", True), report.place(TIMES, True)
-    times = json.loads(kept.read_text()) if kept.is_file() else {}
-    if not file.is_file():
-        times.pop(product, None)
-    before = time.process_time()
+    file = report.place(f"{own.name}{'-quick' if quick else ''}.h5", True)
+    kept = file.with_suffix(".json")
+    is_new, before = not file.is_file(), time.process_time()
     found = study_runner.run_study(own, file, progress=True)
-    if found.elapsed > times.get(product, {}).get("elapsed", 0.0):
-        spent = times.get(product, {}).get("cpu", 0.0) + time.process_time() - before
-        times[product] = {"cpu": spent, "elapsed": found.elapsed}
-        kept.write_text(json.dumps(times))
-    return found, times[product]["cpu"]
+    if is_new:
+        kept.write_text(json.dumps(time.process_time() - before))
+    return found, json.loads(kept.read_text()) if kept.is_file() else None
 
 
-def row_of(product: str, found: StudyResults, spent: float) -> list[str]:
+def row_of(product: str, found: StudyResults, spent: float | None) -> list[str]:
     """The table row of a product."""
     every = analysis.select_point(found, 0)
     counts = found.outputs["pieces"][np.isfinite(found.outputs["pieces"])]
     cells = [analysis.format_median(analysis.output_metric(found, name, every)) for name in OUTPUTS]
-    return [product, f"{np.median(counts):.0f}" if len(counts) else "-", *cells, f"{spent:.0f}"]
+    number = f"{np.median(counts):.0f}" if len(counts) else "-"
+    return [product, number, *cells, "-" if spent is None else f"{spent:.0f}"]
 
 
 def main() -> None:
@@ -67,8 +65,11 @@ def main() -> None:
     xla_flags.set_loop_flags(unrolled=True)
     study = load_study("products", options.quick)
     rows, lost = [], []
-    for product in options.products or study.parameter["product"].values:
-        found, spent = conducted(study, product)
+    names = study.parameter["product"].values
+    chosen = options.products or names
+    without = [name for name in names if name not in chosen]
+    for product in chosen:
+        found, spent = conducted(study, product, options.quick)
         rows.append(row_of(product, found, spent))
         lost += [f"- {product}: {why}" for why in dict.fromkeys(found.failure_reasons.values())]
         lost += [f"- {product}: {line}" for line in analysis.describe_unsettled_drops(found)]
@@ -85,6 +86,8 @@ def main() -> None:
 not at rest then has no time to rest. CPU time is that of the whole process, with compilation.
 
 {report.table(HEAD, rows)}
+
+{f"Not dropped here: {', '.join(without)}." if without else ""}
 
 Drops without a value:
 
