@@ -88,6 +88,26 @@ class Folder:
             for path in sorted(folder.iterdir()):
                 file.write(path, path.name)
 
+    def list_parts(self, name: str) -> list[str]:
+        """Names of a scene and of the files in the folder that it needs, whoever names them."""
+        found = [name]
+        for each in found:  # which grows
+            tree = {}
+            if each.endswith(".toml"):
+                tree = tomllib.loads((self.root / each).read_text(encoding="utf-8"))
+            for _, value in _list_references(tree):
+                path = (self.root / each).parent / value.partition(":")[0]
+                if path.is_file() and path.resolve().is_relative_to(self.root):
+                    part = path.resolve().relative_to(self.root).as_posix()
+                    found += [part] if part not in found else []
+        return found
+
+    def zip_files(self, names: list[str], target: str) -> None:
+        """Put files into a ZIP file, under their names. Raises RecordError."""
+        with zipfile.ZipFile(self.find_path(target), "w", zipfile.ZIP_DEFLATED) as file:
+            for name in names:
+                file.write(self.find_path(name), name)
+
     def _list(self, below: str, endings: tuple[str, ...]) -> list[str]:
         folder = self.root / below
         if not folder.is_dir():

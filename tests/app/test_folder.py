@@ -7,6 +7,7 @@ import socket
 import struct
 import sys
 import threading
+import zipfile
 
 import pytest
 
@@ -129,6 +130,19 @@ def test_products_that_name_files_elsewhere_or_cannot_be_read_are_not_listed(tmp
         (products / f"{name}.toml").write_text(f"[portion]\nstl = '{stl}'\n")
     (products / "d.toml").write_text("[portion")
     assert folder.list_products() == ["products/a.toml"]
+
+
+def test_a_scene_is_taken_along_with_the_parts_that_it_names(tmp_path):
+    folder = Folder(tmp_path)
+    (tmp_path / "products").mkdir()
+    (tmp_path / "products/a.stl").write_bytes(binary_stl())
+    (tmp_path / "products/a.toml").write_text("[portion]\nstl = 'a.stl'\n")
+    (tmp_path / "x.toml").write_text("base = 'weigh-bucket'\nproduct = 'products/a.toml'\n")
+    names = ["x.toml", "products/a.toml", "products/a.stl"]
+    assert folder.list_parts("x.toml") == names
+    folder.zip_files(names, "x-scene.zip")
+    with zipfile.ZipFile(tmp_path / "x-scene.zip") as found:
+        assert found.namelist() == names
 
 
 def test_any_text_makes_a_plain_name():

@@ -17,7 +17,7 @@ from PIL import Image
 
 from dem_jax.app.pages.model import DOWNLOADS
 from dem_jax.io.run_files import load_run
-from dem_jax.scene import parse_scene
+from dem_jax.scene import load_scene, parse_scene
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -252,6 +252,15 @@ def open_fmu(path):
     assert root.get("fmiVersion") == "2.0"
 
 
+def open_scene(path):
+    """It is computed elsewhere, too: the parts that it names are with it."""
+    folder = path.with_name(f"{path.name}-opened")
+    with zipfile.ZipFile(path) as found:
+        found.extractall(folder)
+    scene = load_scene(folder / "nugget-2.toml")
+    assert scene.drop.height == 0.2 and scene.portion.stl == str(folder / "products/nugget.stl")
+
+
 def open_source(path):
     """It is compiled as its README says, and gives a portion."""
     folder = path.with_name(f"{path.name}-opened")
@@ -282,7 +291,7 @@ OPENED = {
     "FMU": open_fmu,
     "C source": open_source,
     "Result file": load_run,
-    "Scene file": lambda path: parse_scene(path.read_text(), path),
+    "Scene file": open_scene,
 }
 
 

@@ -256,12 +256,26 @@ def _show_downloads(session: Session) -> None:
                     ui.label(
                         download.text + ("" if has_fit or not download.needs_fit else "; fit first")
                     ).classes("small")
-            for ending, text in ((".h5", "Result as HDF5"), (".toml", "Scene as TOML")):
-                if session.folder.find_path(f"{stem}{ending}").is_file():
-                    with ui.element("div"):
-                        box = ui.button(f"{text.split()[0]} file", icon="download")
-                        box.props("outline no-caps").on_click(
-                            lambda _, e=ending: ui.download(f"/files/{stem}{e}")
-                        )
-                        ui.label(text).classes("small")
+            _show_own_files(session, stem)
         follow = parts.show_job(session, "download", finish)
+
+
+def _show_own_files(session: Session, stem: str) -> None:
+    """The files behind a result: the result, and the scene with the parts that it names."""
+
+    def take_scene() -> None:
+        names = session.folder.list_parts(f"{stem}.toml")
+        if len(names) > 1:
+            session.folder.zip_files(names, f"{stem}-scene.zip")
+        ui.download(f"/files/{stem}-scene.zip" if len(names) > 1 else f"/files/{stem}.toml")
+
+    rows = (
+        (".h5", "Result file", "HDF5", lambda: ui.download(f"/files/{stem}.h5")),
+        (".toml", "Scene file", "TOML; zipped with STL files of your own", take_scene),
+    )
+    for ending, label, text, take in rows:
+        if session.folder.find_path(f"{stem}{ending}").is_file():
+            with ui.element("div"):
+                box = ui.button(label, icon="download", on_click=take)
+                box.props("outline no-caps")
+                ui.label(text).classes("small")
