@@ -327,7 +327,7 @@ def _make_options(
         "tooltip": {"trigger": "axis", "confine": True},
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
         "grid": [
-            {"left": 56, "right": 18, "top": 52, "height": "44%"},
+            {"left": 56, "right": 18, "top": 52, "height": "41%"},
             {"left": 56, "right": 18, "bottom": 74, "height": "20%"},
         ],
         "xAxis": [
