@@ -184,6 +184,7 @@ async def _show_result(
     except RecordError as error:
         with head:
             parts.show_error(str(error))
+            _offer_scene(session)
         return
     if head.is_deleted:
         return  # another page is shown
@@ -225,9 +226,14 @@ def _show_numbers(session: Session, found: RunFacts, shares: ShareFacts | None) 
     with ui.element("div").classes("line"):
         compare = ui.button("Next: compare", on_click=lambda: ui.navigate.to("/compare"))
         compare.props("no-caps unelevated")
-        if session.folder.find_path(f"{Path(session.shown).stem}.toml").is_file():
-            again = ui.button("Take up this scene", on_click=lambda: _reopen(session))
-            again.props("no-caps outline")
+        _offer_scene(session)
+
+
+def _offer_scene(session: Session) -> None:
+    """A button that takes up the scene of the shown result, whether that can be read or not."""
+    if session.folder.find_path(f"{Path(session.shown).stem}.toml").is_file():
+        again = ui.button("Take up this scene", on_click=lambda: _reopen(session))
+        again.props("no-caps outline")
 
 
 def _reopen(session: Session) -> None:
