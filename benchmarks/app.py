@@ -27,12 +27,12 @@ GRAPHICS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swifts
 
 
 def sum_processor_time(parent: int) -> float:
-    """Processor time (s) of a process and of all that it has started, as Linux tells it."""
+    """Processor time (s) of a process and of all that it has started, also of those that have ended, as Linux tells it."""
     stats = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
             words = path.read_text(encoding="utf-8").rpartition(")")[2].split()
-            stats[int(path.parent.name)] = int(words[1]), int(words[11]) + int(words[12])
+            stats[int(path.parent.name)] = int(words[1]), sum(map(int, words[11:15]))
     own = {parent}
     while more := {pid for pid, (of, _) in stats.items() if of in own} - own:
         own |= more
