@@ -41,7 +41,7 @@ MAY_IMPORT = {  # package -> packages below it
     "contacts": BASE | {"walls", "contact_laws", "narrow_phase"},
     "broad_phase": BASE | {"walls", "contact_laws", "narrow_phase", "contacts"},
     "dynamics": CORE - {"dynamics", "scene"},
-    "io": BASE | {"dynamics", "scene"},
+    "io": BASE | {"deprecation", "dynamics", "scene"},
     "weighing": {"errors", "scene", "io"},
     "assembly": CORE | {"shapes", "deprecation"},
     "cluster": {"errors", "xla_flags", "process", "program_store", "__version__"},

@@ -73,7 +73,7 @@ def looked_at(run: Run, scene: Scene, trial: Trial) -> tuple[tuple[str, ...], di
     figures = {
         "energy": energy_growth(run),
         "momentum": momentum_error(run, scene),
-        "overlap": float(np.max(run.overlap)),
+        "overlap": float(np.max(run.max_relative_overlap)),
     }
     figures |= trial.figure(run) if trial.figure else {}
     faults = []

@@ -62,7 +62,7 @@ def _driven_group_rows(walls: Walls) -> Rows:
     return tuple((walls.groups[k], k) for k in which)
 
 
-FLOW = ("inside", "brought_in", "taken_out")  # the rows of ``piece_count`` and ``piece_mass``
+FLOW = ("inside", "inserted", "removed")  # the rows of ``piece_count`` and ``piece_mass``
 
 PLACE = Axis(
     "place",
@@ -71,7 +71,7 @@ PLACE = Axis(
     symbol="PLACE",
 )
 
-COLLISIONS = ("collisions", "collision_impulse", "collision_energy")
+COLLISIONS = ("collision_count", "collision_impulse", "collision_energy")
 
 
 def _count_contacts(system: System, state: State) -> Array:
@@ -129,12 +129,12 @@ QUANTITIES = validate_quantities(
             help="of all pieces",
         ),
         Quantity(
-            name="overlap", unit="1", axes=(),
+            name="max_relative_overlap", unit="1", axes=(),
             of=lambda system, state: state.ledger.overlap,
             help="the largest of the sample interval, relative to the width of the narrower piece",
         ),
         Quantity(
-            name="contacts", unit="1", axes=(PARTNER,),
+            name="contact_count", unit="1", axes=(PARTNER,),
             of=_count_contacts,
             help="number of contacts of pieces with the panels of a wall group, and between_pieces",
         ),
@@ -144,12 +144,12 @@ QUANTITIES = validate_quantities(
             help="of the load cell, if there is one, downwards: " + ", ".join(load_cell_oscillator.READINGS) + "; signal = k x + c x'",
         ),
         Quantity(
-            name="flap_lag", unit="rad", axes=(DRIVEN_GROUP,),
+            name="flap_angle_error", unit="rad", axes=(DRIVEN_GROUP,),
             of=lambda _, state: state.drive.lag,  # type: ignore[union-attr]  # not sampled without one
             help="angle of a flap that has a drive, beyond its motion, about the axis of its hinge",
         ),
         Quantity(
-            name="collisions", unit="1", axes=(REPORT,),
+            name="collision_count", unit="1", axes=(REPORT,),
             of=lambda system, state: collision_summary.collision_totals(system, state)[0],
             help="with the wall group since the first step, if the scene has [statistics]; a contact is one until it ends",
         ),
@@ -166,7 +166,7 @@ QUANTITIES = validate_quantities(
         Quantity(
             name="piece_count", unit="1", axes=(PLACE,),
             of=observables.piece_count,
-            help="in the scene, and since the first step: inside = at first + brought_in - taken_out; of an inlet or outlet",
+            help="in the scene, and since the first step: inside = at first + inserted - removed; of an inlet or outlet",
         ),
         Quantity(
             name="piece_mass", unit="kg", axes=(PLACE,),

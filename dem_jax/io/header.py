@@ -10,12 +10,15 @@ import numpy as np
 
 from dem_jax.errors import RecordError
 from dem_jax.io import schema
+from dem_jax.io.former_datasets import rename_quantities
 
 if TYPE_CHECKING:
     import h5py
 
+FORMAT_VERSION = 2  # 1: names of datasets that ``former_datasets`` lists
 OPTIONAL_ATTRIBUTES = ("run_count", "info", "quantities")  # attributes
 TUPLE_ATTRIBUTES = ("groups", "blocks", "gravity", "seed")
+FORMAT_ATTRIBUTE = "format_version"
 MOST_ATTRIBUTE_BYTES = 2**26  # bytes of an attribute: the seeds of eight million runs
 
 
@@ -115,6 +118,7 @@ def write_header(file: "h5py.File", header: RunHeader) -> None:
     """Write the attributes of a new file."""
     import h5py
 
+    file.attrs[FORMAT_ATTRIBUTE] = FORMAT_VERSION
     for name, value in asdict(header).items():
         if name == "info":
             file.attrs[name] = json.dumps(value)
@@ -155,7 +159,20 @@ def read_header(file: "h5py.File", path: Any) -> RunHeader:
             f"{path} is damaged: it has {len(seeds)} seeds for {runs or 'a single'} run{'s' if runs else ''}"
         )
     stored = None if quantities is None else _parse_quantities(quantities, path)
-    return RunHeader(**values, quantities=stored)
+    header = RunHeader(**values, quantities=stored)
+    return rename_quantities(header) if read_format(file, path) == 1 else header
+
+
+def read_format(file: "h5py.File", path: Any) -> int:
+    """The version of a file's format. Raises RecordError, naming path, for one that is not known."""
+    if FORMAT_ATTRIBUTE not in file.attrs:
+        return 1
+    version = _read_attribute(file, FORMAT_ATTRIBUTE, path)
+    if version not in range(1, FORMAT_VERSION + 1):
+        raise RecordError(
+            f"{path}: {FORMAT_ATTRIBUTE} = {version!r}; allowed: 1 to {FORMAT_VERSION}, others need another version of dem_jax"
+        )
+    return int(version)
 
 
 def _read_attribute(file: "h5py.File", name: str, path: Any) -> Any:

@@ -14,7 +14,8 @@ from dem_jax.io.datasets import (
     iterate_datasets,
     open_for_reading,
 )
-from dem_jax.io.header import RunHeader, StoredQuantity, read_header
+from dem_jax.io.former_datasets import rename_path
+from dem_jax.io.header import FORMAT_VERSION, RunHeader, StoredQuantity, read_format, read_header
 from dem_jax.io.run_data import Frames, Run
 from dem_jax.io.schema import read_array
 
@@ -23,10 +24,13 @@ def load_run(path: FileName) -> Run:
     """The run or ensemble in an HDF5 file.
 
     Raises:
-        RecordError: the file is missing, not HDF5, truncated, damaged or incomplete.
+        RecordError: the file is missing, not HDF5, truncated, damaged, incomplete or of a later
+            format.
     """
     with open_for_reading(path) as file:
         header, held = read_header(file, path), dict(iterate_datasets(file))
+        if read_format(file, path) == 1:
+            held = {rename_path(name): item for name, item in held.items()}
         if "time" not in held:
             raise RecordError(f"{path} holds no samples: its run stopped before the first flush")
         _check_shapes(header, held, path)
@@ -60,6 +64,10 @@ def load_restart(path: FileName) -> tuple[RunHeader, dict[str, np.ndarray], int,
     """
     with open_for_reading(path) as file:
         header, held = read_header(file, path), dict(iterate_datasets(file))
+        if read_format(file, path) != FORMAT_VERSION:
+            raise RecordError(
+                f"{path} was begun by an earlier version of dem_jax; allowed: to begin it anew (the file can still be read)"
+            )
         restart = {
             name: read_array(item, path) for name, item in _select_group("restart", held).items()
         }

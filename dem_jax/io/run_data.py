@@ -8,6 +8,7 @@ import numpy as np
 from dem_jax.errors import RecordError
 from dem_jax.io.atomic_files import lock_file
 from dem_jax.io.datasets import FileName, flatten_tree, nest_paths, time_axis
+from dem_jax.io.former_datasets import LABELLED, FormerLabels, find_former_name
 from dem_jax.io.header import RunHeader
 from dem_jax.io.writer import Writer
 
@@ -75,9 +76,12 @@ class Run:
         if name.startswith("_") or "series" not in found:  # while it is unpickled
             raise AttributeError(name)
         if name in found["series"]:
-            return found["series"][name]
+            series = found["series"][name]
+            return FormerLabels(series) if name in LABELLED else series
         known = {stored.name: stored for stored in self.header.stored_quantities}
         if name not in known:
+            if now := find_former_name("Run", name):
+                return getattr(self, now)
             raise AttributeError(f"the run has no {name!r}; it has: {', '.join(known)}")
         return None if known[name].labels is None else {}
 

@@ -43,6 +43,7 @@ from dem_jax.io.datasets import (
     time_axis,
     write_checksum,
 )
+from dem_jax.io.former_datasets import link_former_names
 from dem_jax.io.header import RunHeader, read_header, write_header
 
 if TYPE_CHECKING:
@@ -257,6 +258,7 @@ class Writer:
     def _write_rows(self, file: "h5py.File", appended: list[_PendingRows]) -> None:
         if not self._exists:
             write_header(file, self._header)
+            link_former_names(file, self._header)
         elif file.attrs["scene"] != self._header.scene:
             file.attrs["scene"] = self._header.scene
         info = {key: value for each in appended for key, value in each.info.items()}

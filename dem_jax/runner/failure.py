@@ -53,7 +53,8 @@ def check_start_overlap(job: Job, guard: OverflowReport) -> None:
 def detect_failure(samples: Sample, count: int) -> tuple[int, int] | None:
     """(member, sample) of the first failed sample of a run, or None. samples: numpy [.., T]."""
     culprit, overlap, stride = (
-        np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap, samples.stride)
+        np.atleast_2d(x)[:, :count]
+        for x in (samples.culprit, samples.max_relative_overlap, samples.stride)
     )
     bad = (culprit >= 0) | ~(overlap <= DEEPEST_OVERLAP) | (stride > DEEPEST_OVERLAP)
     for name in _list_real_quantities(samples):
@@ -83,8 +84,10 @@ def describe_failure(
     if samples.culprit[k] >= 0:
         piece = int(samples.culprit[k])
         what = _diagnose_invalid_piece(job, system, state, piece, member)
-    elif samples.overlap[k] > DEEPEST_OVERLAP:
-        piece, what = _diagnose_overlap(job, system, state, float(samples.overlap[k]), member)
+    elif samples.max_relative_overlap[k] > DEEPEST_OVERLAP:
+        piece, what = _diagnose_overlap(
+            job, system, state, float(samples.max_relative_overlap[k]), member
+        )
     elif samples.stride[k] > DEEPEST_OVERLAP:
         piece, what = _diagnose_speed(system, state)
     else:

@@ -16,6 +16,7 @@ from dem_jax.broad_phase import overflow_recovery
 from dem_jax.dynamics import stepping
 from dem_jax.dynamics.quantity import Quantity
 from dem_jax.errors import SceneError
+from dem_jax.io.former_datasets import find_former_name
 from dem_jax.runner.functional import build_for_tracing
 from dem_jax.runner.job_setup import assemble_scene
 from dem_jax.scene import Scene, load_scene
@@ -47,6 +48,8 @@ class Rollout:
     def __getattr__(self, name: str) -> Any:
         series = self.__dict__.get("series", {})  # not there while it is unpickled
         if name not in series:
+            if now := find_former_name("Rollout", name):
+                return getattr(self, now)
             raise AttributeError(f"the rollout has no {name!r}; it has: {', '.join(series)}")
         return series[name]
 

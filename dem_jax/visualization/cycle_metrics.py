@@ -101,7 +101,7 @@ def _piece_flow(run: Run, window: CycleWindow) -> list[Metric]:
     if "piece_count" not in run.series:
         return []
     first, last = np.searchsorted(run.time, (window.previous_end, window.end), side="right") - 1
-    ways = (("came in", "brought_in"), ("taken out", "taken_out"))
+    ways = (("came in", "inserted"), ("taken out", "removed"))
     counts = {words: np.atleast_2d(run.piece_count[name]) for words, name in ways}
     return [
         Metric(words, "", (n[:, last] - (n[:, first] if first >= 0 else 0)).astype(float))

@@ -126,7 +126,7 @@ def tabulate_impacts(run: Run) -> list[str]:
         for name, rows in _group_members(run, told["groups"]).items():
             count, impulse, energy = (
                 np.atleast_2d(getattr(run, series)[name])[:, -1].astype(np.float64)
-                for series in ("collisions", "collision_impulse", "collision_energy")
+                for series in ("collision_count", "collision_impulse", "collision_energy")
             )
             if not count.any():
                 lines.append(f"{name}: no collisions")

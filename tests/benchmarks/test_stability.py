@@ -50,7 +50,10 @@ def test_the_invariants_see_what_is_wrong():
         "momentum off" in fault
         for fault in found(mean_force={k: 1.01 * f for k, f in run.mean_force.items()})
     )
-    assert any("overlap 0.6" in fault for fault in found(overlap=0 * run.overlap + 0.6))
+    assert any(
+        "overlap 0.6" in fault
+        for fault in found(max_relative_overlap=0 * run.max_relative_overlap + 0.6)
+    )
     assert any(
         "not finite: force/plate" in fault
         for fault in found(force={k: f * np.nan for k, f in run.force.items()})

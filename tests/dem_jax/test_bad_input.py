@@ -263,7 +263,13 @@ def test_a_force_that_is_not_finite_is_found(runs):
     force[..., 3:, 0, 2] = np.nan
     one = np.zeros((*runs, 5))
     sample = Sample(
-        {"force": force, "own": one, "culprit": one.astype(int) - 1, "overlap": one, "stride": one}
+        {
+            "force": force,
+            "own": one,
+            "culprit": one.astype(int) - 1,
+            "max_relative_overlap": one,
+            "stride": one,
+        }
     )
     assert failure.detect_failure(sample, 5) == (0, 3)
     assert failure.detect_failure(sample, 3) is None, "samples beyond count are none"

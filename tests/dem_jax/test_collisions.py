@@ -78,7 +78,7 @@ def test_a_sphere_that_goes_to_and_fro_n_times_with_known_speeds_impulses_and_lo
     said = run.info["collisions"]["runs"][0]
     for k, group in enumerate(("floor", "roof")):
         before, after = found[k:hits:2], found[k + 1 : hits + 1 : 2]
-        assert run.collisions[group][-1] == len(before)
+        assert run.collision_count[group][-1] == len(before)
         assert said["sum"][k] == pytest.approx(before.sum(), rel=1e-9)
         assert said["largest"][k] == pytest.approx(before[0], rel=1e-9)
         assert run.collision_impulse[group][-1] == pytest.approx(
@@ -107,7 +107,9 @@ def test_the_maps_have_it_where_it_happened():
     run = to_and_fro()
     for group in ("floor", "roof"):
         (panel,) = map_impacts(run, group)
-        assert panel.number.sum() == run.collisions[group][-1] and (panel.number > 0).sum() == 1
+        assert (
+            panel.number.sum() == run.collision_count[group][-1] and (panel.number > 0).sum() == 1
+        )
         at = np.array(AT) @ panel.axes[:, :2].T  # in the panel's own frame
         x, y = np.floor((at / panel.half_extent + 1) / 2 * ASKED["map_resolution"]).astype(int)
         assert panel.number[y, x] == panel.number.sum()
@@ -120,7 +122,7 @@ def test_slow_touches_are_not_counted_but_do_their_work():
     run = to_and_fro()
     slow = dem_jax.simulate(scene(statistics=ASKED | {"min_speed": 1.5, "max_speed": 1.7}))
     fast = (flown(run)[:-1] >= 1.5).sum()
-    assert slow.collisions["floor"][-1] + slow.collisions["roof"][-1] == fast == 2
+    assert slow.collision_count["floor"][-1] + slow.collision_count["roof"][-1] == fast == 2
     assert (
         sum(slow.info["collisions"]["runs"][0]["speeds"][0]) == 1
         and slow.info["collisions"]["runs"][0]["speeds"][0][-1] == 1
@@ -151,7 +153,7 @@ def test_nothing_is_computed_or_kept_unless_it_is_asked_for():
     assert not [q.name for q in built.system.quantities if q.name.startswith("collision")]
     asked = assembly.assemble_system(scene())
     assert [q.name for q in asked.system.quantities if q.name.startswith("collision")] == [
-        "collisions", "collision_impulse", "collision_energy",
+        "collision_count", "collision_impulse", "collision_energy",
     ]  # fmt: skip
     plain = dem_jax.simulate(scene(statistics=None))
     np.testing.assert_allclose(
@@ -186,7 +188,7 @@ def test_a_box_on_a_swinging_bucket_whose_flaps_open_balances_with_the_ledger():
     np.testing.assert_allclose(both, run.energy["dissipated"], atol=1e-11 * scale)
     for name in groups:
         maps = map_impacts(run, name)
-        assert sum(each.number.sum() for each in maps) == run.collisions[name][-1]
+        assert sum(each.number.sum() for each in maps) == run.collision_count[name][-1]
         assert sum(each.impulse.sum() for each in maps) == pytest.approx(
             run.collision_impulse[name][-1], rel=1e-9
         )
@@ -198,7 +200,7 @@ def test_the_command_prints_and_draws(tmp_path, capsys):
     to_and_fro().save(tmp_path / "ball.h5")
     assert main(["collisions", "ball.h5", "--group", "roof", "--of", "number"]) == 0
     out = capsys.readouterr().out
-    number = to_and_fro().collisions["floor"][-1]
+    number = to_and_fro().collision_count["floor"][-1]
     assert (
         f"floor: number: {number:.4g} collisions" in out
         and "roof: fastest: 1.6" in out

@@ -199,7 +199,7 @@ def test_each_cycle_says_what_its_buckets_hold_and_what_came_and_went():
         "mean_force": force,
         "settled_mass": {"wb": 0 * time, "fb": 1e-2 * time, "lf": 2e-2 * time},
     }
-    series["piece_count"] = {"inside": 13 + came - gone, "brought_in": came, "taken_out": gone}
+    series["piece_count"] = {"inside": 13 + came - gone, "inserted": came, "removed": gone}
     plain = stored()
     run = replace(
         plain,

@@ -121,7 +121,7 @@ def test_a_piece_that_holds_up_a_flap_bears_its_torque(torque):
     bends = np.asarray(run.torque["flap"])[last, 0]
     np.testing.assert_allclose(bends, torque, rtol=1e-3)  # of the piece, which turns it open about
     # x
-    middle, lag = np.asarray(run.pieces.position)[-1, 0], float(run.flap_lag["flap"][-1])
+    middle, lag = np.asarray(run.pieces.position)[-1, 0], float(run.flap_angle_error["flap"][-1])
     assert 0.01 < lag < 0.06  # the piece stands between
     normal = np.array([0.0, np.sin(lag), -np.cos(lag)])  # out of the flap, that is turned up by the
     # lag
@@ -137,7 +137,7 @@ def test_a_motion_that_is_given_presses_harder():
         np.abs(given.mean_force["flap"]).max()
         > 3 * np.abs(pressed(TORQUE).mean_force["flap"]).max()
     )
-    assert not hasattr(given, "flap_lag") or not given.flap_lag
+    assert not hasattr(given, "flap_angle_error") or not given.flap_angle_error
 
 
 OF_FEED, OPENS = {"feed_bucket.drive.torque": 1.0}, {"weigh_bucket.opening_angle_deg": 60.0}
@@ -205,10 +205,15 @@ def test_files_hold_the_lag_and_go_on_from_it(tmp_path):
     path = tmp_path / "run.h5"
     dem_jax.simulate(scene(duration=0.25), out=path)  # the flap is on its way down to the piece
     with h5py.File(path) as file:
-        assert list(file["flap_lag"]) == ["flap"] and file["flap_lag/flap"].attrs["units"] == "rad"
-        assert file["flap_lag/flap"][-1] > 0.01
+        assert (
+            list(file["flap_angle_error"]) == ["flap"]
+            and file["flap_angle_error/flap"].attrs["units"] == "rad"
+        )
+        assert file["flap_angle_error/flap"][-1] > 0.01
     resumed = dem_jax.resume(path, duration=0.6)
-    np.testing.assert_array_equal(resumed.flap_lag["flap"], pressed(TORQUE).flap_lag["flap"])
+    np.testing.assert_array_equal(
+        resumed.flap_angle_error["flap"], pressed(TORQUE).flap_angle_error["flap"]
+    )
 
 
 def test_steps_that_a_look_at_hulls_interrupts_swing_the_flap_once(monkeypatch):
@@ -225,14 +230,18 @@ def test_steps_that_a_look_at_hulls_interrupts_swing_the_flap_once(monkeypatch):
     kept = dem_jax.simulate(hit)
     monkeypatch.setattr("dem_jax.runner.job_setup.choose_slot_block", lambda: 0)
     plain = dem_jax.simulate(hit)  # looks at all in every step
-    assert np.abs(plain.flap_lag["flap"]).max() > 0.01
-    np.testing.assert_allclose(kept.flap_lag["flap"], plain.flap_lag["flap"], atol=1e-9)
+    assert np.abs(plain.flap_angle_error["flap"]).max() > 0.01
+    np.testing.assert_allclose(
+        kept.flap_angle_error["flap"], plain.flap_angle_error["flap"], atol=1e-9
+    )
 
 
 def test_runs_of_an_ensemble_have_drives_of_their_own():
     two = dem_jax.ensemble(scene(), runs=2, parameters={"motion.0.drive.torque": [0.1, TORQUE]})
     for k, torque in enumerate((0.1, TORQUE)):
-        np.testing.assert_array_equal(two.flap_lag["flap"][k], pressed(torque).flap_lag["flap"])
+        np.testing.assert_array_equal(
+            two.flap_angle_error["flap"][k], pressed(torque).flap_angle_error["flap"]
+        )
     system = made().system.replace(slot_block=64)
     assert not interleaved_batch.is_batch_worthwhile(system, 64)
     assert interleaved_batch.is_batch_worthwhile(
@@ -243,7 +252,7 @@ def test_runs_of_an_ensemble_have_drives_of_their_own():
 def test_a_motion_that_is_given_has_nothing_of_a_drive():
     given = assembly.assemble_system(scene(None))
     assert given.state.drive is None and given.system.walls.drive is None
-    assert "flap_lag" not in {quantity.name for quantity in given.system.quantities}
+    assert "flap_angle_error" not in {quantity.name for quantity in given.system.quantities}
 
 
 def test_flaps_that_are_shut_are_locked_and_open_under_their_load():
@@ -258,7 +267,7 @@ def test_flaps_that_are_shut_are_locked_and_open_under_their_load():
     begun = run.time < 0.5
     for side in ("left", "right"):
         lag, torque = (
-            np.asarray(run.flap_lag[f"wb_flap_{side}"]),
+            np.asarray(run.flap_angle_error[f"wb_flap_{side}"]),
             np.asarray(run.torque[f"wb_flap_{side}"])[..., 0],
         )
         assert (lag[begun] == 0).all() and np.abs(torque[begun]).max() > 0.1

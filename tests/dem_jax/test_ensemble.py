@@ -25,7 +25,7 @@ PATHS = (
     "settled_mass/plate",
     "energy/total",
     "momentum",
-    "overlap",
+    "max_relative_overlap",
 )
 
 

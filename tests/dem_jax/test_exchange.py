@@ -60,14 +60,14 @@ def run(tmp_path_factory):
 
 def test_what_came_in_is_inside_or_was_taken_out(run):
     count, mass = run.piece_count, run.piece_mass
-    np.testing.assert_array_equal(count["inside"], 4 + count["brought_in"] - count["taken_out"])
-    at_first = mass["inside"][0] - mass["brought_in"][0]
+    np.testing.assert_array_equal(count["inside"], 4 + count["inserted"] - count["removed"])
+    at_first = mass["inside"][0] - mass["inserted"][0]
     np.testing.assert_allclose(
-        mass["inside"], at_first + mass["brought_in"] - mass["taken_out"], rtol=1e-12
+        mass["inside"], at_first + mass["inserted"] - mass["removed"], rtol=1e-12
     )
-    assert count["taken_out"][-1] > 4 and count["brought_in"][-1] > 3  # more than there were at
+    assert count["removed"][-1] > 4 and count["inserted"][-1] > 3  # more than there were at
     # first: pieces came in again
-    assert (np.diff(count["taken_out"]) >= 0).all() and (np.diff(count["brought_in"]) >= 0).all()
+    assert (np.diff(count["removed"]) >= 0).all() and (np.diff(count["inserted"]) >= 0).all()
 
 
 def test_energy_is_that_of_the_pieces_that_are_there(run):
@@ -75,7 +75,7 @@ def test_energy_is_that_of_the_pieces_that_are_there(run):
     total = energy["total"]
     moved = np.ptp(energy["potential"])
     assert np.ptp(total) < 2e-3 * moved
-    exchanged = np.diff(run.piece_count["taken_out"]) > 0
+    exchanged = np.diff(run.piece_count["removed"]) > 0
     assert (
         exchanged.any()
         and np.abs(np.diff(energy["potential"])[exchanged]).min()
@@ -85,7 +85,7 @@ def test_energy_is_that_of_the_pieces_that_are_there(run):
 
 def test_momentum_balances_with_what_came_and_went_between_two_exchanges(run):
     changes = np.flatnonzero(
-        np.diff(run.piece_count["brought_in"]) + np.diff(run.piece_count["taken_out"]) > 0
+        np.diff(run.piece_count["inserted"]) + np.diff(run.piece_count["removed"]) > 0
     )
     first, last = changes[0] + 1, changes[1]
     time = run.time[last] - run.time[first]
@@ -97,7 +97,7 @@ def test_momentum_balances_with_what_came_and_went_between_two_exchanges(run):
 
 
 def test_the_inlet_keeps_its_rate_where_pieces_wait_and_says_so_where_none_do(run):
-    first = run.piece_mass["brought_in"][run.time < 0.3]
+    first = run.piece_mass["inserted"][run.time < 0.3]
     heaviest = 7800 * 4 / 3 * np.pi * (1.3 * RADIUS) ** 3
     due = INLET["mass_rate"] * run.time[run.time < 0.3]
     assert first.max() <= due.max() + heaviest

@@ -61,7 +61,7 @@ def copy(whole, tmp_path):
 
 
 def assert_same(one, other):
-    for name in ("time", "momentum", "overlap"):
+    for name in ("time", "momentum", "max_relative_overlap"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
@@ -252,10 +252,10 @@ def within_itself(file):
 
 LIES = [  # a change -> what the line must hold, on being read if it says so
     ("read", put("time", None, "f8", (2**40,), chunks=(1024,)), r"'force/plate' of form .* does not fit 1099511627776"),
-    ("read", put("overlap", None, "f8", (2**40,)), r"'overlap' of form \(1099511627776,\) does not fit 1000"),
-    ("read", put("overlap", None, "f4", (1000,)), r"'overlap' of form \(1000,\) claims more than the file holds"),
-    ("read", put("overlap", b"deep" * 10), r"'overlap' of form \(\) does not fit"),
-    ("read", put("overlap", np.array([b"deep"] * 1000)), r"'overlap' holds no numbers"),
+    ("read", put("max_relative_overlap", None, "f8", (2**40,)), r"'max_relative_overlap' of form \(1099511627776,\) does not fit 1000"),
+    ("read", put("max_relative_overlap", None, "f4", (1000,)), r"'max_relative_overlap' of form \(1000,\) claims more than the file holds"),
+    ("read", put("max_relative_overlap", b"deep" * 10), r"'max_relative_overlap' of form \(\) does not fit"),
+    ("read", put("max_relative_overlap", np.array([b"deep"] * 1000)), r"'max_relative_overlap' holds no numbers"),
     ("read", put("momentum", np.zeros((1000, 4))), r"'momentum' of form \(1000, 4\) does not fit 1000 x 3"),
     ("read", within_itself, r"its group 'again' is within itself|group 'restart/again' is within itself"),
     ("read", said("dt", -1e-6), r"its attribute dt = -1e-06; allowed: a number > 0"),
@@ -308,7 +308,8 @@ def test_a_file_of_before_is_read_and_gone_on_with(whole, copy):
         for name in (
             name
             for name in file
-            if isinstance(file[name], h5py.Dataset) and name in ("time", "overlap", "momentum")
+            if isinstance(file[name], h5py.Dataset)
+            and name in ("time", "max_relative_overlap", "momentum")
         ):
             del old[name]
             old.create_dataset(

@@ -95,7 +95,7 @@ def test_flaps_of_limited_torque_hold_what_they_close_on_or_let_it_go(torque):
     fell = fallen(run)  # flung over the walls
     assert fell <= 2
     np.testing.assert_allclose(feed + weigh, (9 - fell) * PIECE, rtol=1e-2)
-    lags = {side: np.abs(run.flap_lag[f"fb_flap_{side}"]) for side in ("left", "right")}
+    lags = {side: np.abs(run.flap_angle_error[f"fb_flap_{side}"]) for side in ("left", "right")}
     assert max(lag.max() for lag in lags.values()) > np.radians(10)
     for side, lag in lags.items():
         bends = abs(np.asarray(run.torque[f"fb_flap_{side}"])[late, 0].mean())

@@ -116,7 +116,7 @@ def assert_same(found, wanted, rounding=ROUNDING):
                 atol=rounding * scale,
                 err_msg=f"{name} {key}",
             )
-    for name in ("momentum", "overlap"):
+    for name in ("momentum", "max_relative_overlap"):
         series = getattr(wanted, name)
         np.testing.assert_allclose(
             getattr(found, name), series, rtol=0, atol=rounding * np.abs(series).max(), err_msg=name

@@ -34,7 +34,7 @@ JOINED = interleaved_batch.RUNS_AT_ONCE + 1
 JOINED_LONG = pytest.param(JOINED, marks=pytest.mark.long)
 SIDES = Axis("side", lambda _: 2, lambda _: (("left", 0), ("right", 1)), "SIDE")
 # Of scenes that ask for them: test_load_cell, _drive, _collisions, _exchange.
-ASKED = ("load_cell", "flap_lag", *COLLISIONS, "piece_count", "piece_mass")
+ASKED = ("load_cell", "flap_angle_error", *COLLISIONS, "piece_count", "piece_mass")
 KEPT = [quantity for quantity in QUANTITIES if quantity.kept and quantity.name not in ASKED]
 
 
@@ -227,7 +227,7 @@ def test_what_the_scene_does_not_have_is_left_out():
     )
     assert still["energy"] == ("kinetic", "potential", "elastic")
     assert known["torque"] == ("floor",) and still["torque"] == () and still["settled_mass"] == ()
-    assert known["overlap"] is None
+    assert known["max_relative_overlap"] is None
 
 
 def test_reports_of_several_groups_are_added_up():
@@ -304,7 +304,7 @@ def test_a_file_with_fewer_quantities_goes_on_with_those(tmp_path):
         file.attrs["quantities"] = json.dumps([row for row in rows if row["name"] != "momentum"])
         del file["momentum"]
     resumed = dem_jax.resume(path, duration=LONG * SAMPLE)
-    assert len(resumed.overlap) == LONG
+    assert len(resumed.max_relative_overlap) == LONG
     with pytest.raises(
         AttributeError, match="the run has no 'momentum'; it has: force, mean_force"
     ):
@@ -313,7 +313,7 @@ def test_a_file_with_fewer_quantities_goes_on_with_those(tmp_path):
 
 def test_a_file_that_lacks_what_it_says_is_refused(tmp_path):
     path = tmp_path / "run.h5"
-    for lost in ("energy/total", "torque/floor", "overlap", "moment/left", "top"):
+    for lost in ("energy/total", "torque/floor", "max_relative_overlap", "moment/left", "top"):
         computed("f64", None, path)
         with h5py.File(path, "r+") as file:
             del file[lost]
@@ -460,7 +460,7 @@ def test_an_error_in_a_function_says_in_which():
 
 def test_a_quantity_of_ones_own_that_is_not_finite_stops_a_run():
     fine = {"culprit": np.full((1, 4), -1), "count": np.zeros((1, 4), np.int32)}
-    fine |= {name: np.zeros((1, 4)) for name in ("overlap", "stride")}
+    fine |= {name: np.zeros((1, 4)) for name in ("max_relative_overlap", "stride")}
     samples = Sample(fine | {"own": np.array([[1.0, 2.0, np.nan, np.nan]])})
     assert (
         failure.detect_failure(samples, 4) == (0, 2) and failure.detect_failure(samples, 2) is None
@@ -499,9 +499,9 @@ def test_contacts_are_those_that_the_poses_show(runs):
         "side": (SIZE - position[..., 0] < radius).sum(axis=-1),
         "between_pieces": (apart < 2 * radius).sum(axis=-1),
     }
-    assert run.contacts.keys() == wanted.keys()
+    assert run.contact_count.keys() == wanted.keys()
     for name, count in wanted.items():
-        np.testing.assert_array_equal(run.contacts[name], count, err_msg=name)
+        np.testing.assert_array_equal(run.contact_count[name], count, err_msg=name)
     most = {name: count.max() for name, count in wanted.items()}
     assert most == {"floor": 3, "side": 1, "between_pieces": 1} and all(
         count.min() == 0 for count in wanted.values()
@@ -527,6 +527,6 @@ def test_parts_of_pieces_are_no_walls_among_the_contacts():
     (found,) = (
         q.evaluate(system, state.replace(contacts=state.contacts | tables))
         for q in QUANTITIES
-        if q.name == "contacts"
+        if q.name == "contact_count"
     )
     assert found[:, 0].tolist() == [0, 1, 1]  # floor, side, between pieces

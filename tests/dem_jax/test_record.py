@@ -1,5 +1,6 @@
 """Files of runs: layout and units, what survives a kill, refusal to overwrite, damaged files, PIF."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -11,15 +12,25 @@ import h5py
 import numpy as np
 import pytest
 
+from dem_jax.deprecation import FormerNameWarning
 from dem_jax.errors import RecordError
-from dem_jax.io.run_files import Run, RunHeader, Writer, load_run
+from dem_jax.io.former_datasets import FORMER_LABELS, FORMER_QUANTITIES
+from dem_jax.io.run_files import (
+    Run,
+    RunHeader,
+    StoredQuantity,
+    Writer,
+    collect_series,
+    load_restart,
+    load_run,
+)
 
 LABELS = {  # of the made-up runs' quantities
     **dict.fromkeys(("force", "mean_force", "torque"), ("wb_flaps", "wb_walls")),
     "settled_mass": ("wb",),
     "energy": ("kinetic", "potential"),
     "momentum": None,
-    "overlap": None,
+    "max_relative_overlap": None,
 }
 KNOWN = RunHeader("", 0, 1.0, "", "", 1.0, (), (), (), 1).stored_quantities
 STORED = tuple(
@@ -61,7 +72,7 @@ def samples(start, count, runs=None, seed=0):
         "torque": {"wb_flaps": 4 * vector, "wb_walls": 5 * vector},
         "settled_mass": {"wb": index * 1e-3},
         "energy": {"kinetic": index + 0.25, "potential": -index},
-        "overlap": index * 1e-4,
+        "max_relative_overlap": index * 1e-4,
         "momentum": vector + 1,
     }
 
@@ -121,7 +132,7 @@ def test_a_file_has_the_documented_layout_with_units(tmp_path):
             "torque/wb_flaps": "N m",
             "pieces/position": "m",
             "pieces/angular_velocity": "rad/s",
-            "overlap": "1",
+            "max_relative_overlap": "1",
         }
         assert {name: file[name].attrs["units"] for name in units} == units
         assert (
@@ -149,7 +160,9 @@ def test_a_run_comes_back_as_it_was_written(tmp_path, runs):
         assert set(found) == set(parts[0][kind])
         for name in found:
             np.testing.assert_array_equal(found[name], joined(parts, kind, name, axis=axis))
-    np.testing.assert_array_equal(run.overlap, joined(parts, "overlap", axis=axis))
+    np.testing.assert_array_equal(
+        run.max_relative_overlap, joined(parts, "max_relative_overlap", axis=axis)
+    )
     np.testing.assert_array_equal(run.momentum, joined(parts, "momentum", axis=axis))
     np.testing.assert_array_equal(run.pieces.position, frames(0, 6, runs)["position"])
     assert run.header == header(run_count=runs)
@@ -297,13 +310,13 @@ import numpy as np
 from dem_jax.io.run_files import Writer
 from test_record import header, samples
 writer = Writer.create("run.h5", header(), overwrite=True, interval=0)
-print("started", flush=True)
 for i in range(100000):
     writer.append(samples(20 * i, 20), restart={{"last": np.float64(20 * i + 19)}})
+    print("written", flush=True)
 """
     for wait in (0.11, 0.173, 0.257, 0.301):
         with subprocess.Popen([sys.executable, "-c", endless], stdout=subprocess.PIPE) as process:
-            process.stdout.readline()
+            process.stdout.readline()  # the pipe holds as many lines as are written meanwhile
             time.sleep(wait)
             process.kill()
         run = load_run("run.h5")
@@ -446,18 +459,21 @@ def test_samples_that_do_not_fit_are_refused_before_anything_is_written(tmp_path
     writer = Writer.create(tmp_path / "run.h5", header(run_count=2), interval=0)
     writer.append(samples(0, 10, 2))
     fewer = samples(10, 10, 2)
-    del fewer["overlap"]
+    del fewer["max_relative_overlap"]
     for wrong, message in (
-        (fewer, r"series \['overlap'\] must be in every append"),
+        (fewer, r"series \['max_relative_overlap'\] must be in every append"),
         (
-            {**samples(10, 10, 2), "overlap": np.zeros((2, 9))},
-            r"overlap of form \(2, 9\) does not fit 10 times",
+            {**samples(10, 10, 2), "max_relative_overlap": np.zeros((2, 9))},
+            r"max_relative_overlap of form \(2, 9\) does not fit 10 times",
         ),
         (
-            {**samples(10, 10, 2), "overlap": np.zeros((3, 10))},
-            r"overlap of form \(3, 10\) does not fit",
+            {**samples(10, 10, 2), "max_relative_overlap": np.zeros((3, 10))},
+            r"max_relative_overlap of form \(3, 10\) does not fit",
         ),
-        ({**samples(10, 10, 2), "overlap": np.zeros(10)}, r"overlap of form \(10,\) does not fit"),
+        (
+            {**samples(10, 10, 2), "max_relative_overlap": np.zeros(10)},
+            r"max_relative_overlap of form \(10,\) does not fit",
+        ),
         (
             {**samples(10, 10, 2), "heat": np.zeros((2, 10))},
             r"series 'heat' is unknown; allowed: time, force",
@@ -467,3 +483,72 @@ def test_samples_that_do_not_fit_are_refused_before_anything_is_written(tmp_path
             writer.append(wrong)
     writer.append(samples(10, 10, 2))
     np.testing.assert_array_equal(load_run(tmp_path / "run.h5").time, samples(0, 20)["time"])
+
+
+# --- files of format 1: former names of datasets ---
+
+FLOW = {"inside": np.arange(3.0), "inserted": np.ones(3), "removed": np.zeros(3)}
+
+
+@pytest.fixture
+def flow_file(tmp_path):
+    """A file of now with quantities that had other names."""
+    stored = (
+        *(q for q in header().stored_quantities if q.name in ("time", "max_relative_overlap")),
+        StoredQuantity("contact_count", "1", ("partner",), "contacts", ("plate",)),
+        StoredQuantity("piece_count", "1", ("place",), "pieces", tuple(FLOW)),
+    )
+    path = tmp_path / "flow.h5"
+    with Writer.create(path, replace(header(), quantities=stored)) as writer:
+        rows = {"time": np.arange(3.0), "max_relative_overlap": np.full(3, 1e-3)}
+        rows |= {"contact_count": {"plate": np.array([0, 1, 2])}, "piece_count": FLOW}
+        writer.append(rows, restart={"step": np.int64(1)})
+    return path
+
+
+def make_former(path):
+    """Rewrite a file as the release before wrote it."""
+    with h5py.File(path, "r+") as file:
+        del file.attrs["format_version"]
+        stored = json.loads(file.attrs["quantities"])
+        for former, name in FORMER_QUANTITIES.items():
+            if name in file:
+                del file[former]
+                file.move(name, former)
+                next(q for q in stored if q["name"] == name)["name"] = former
+        for former, label in FORMER_LABELS.items():
+            del file[f"piece_count/{former}"]
+            file.move(f"piece_count/{label}", f"piece_count/{former}")
+        stored[-1]["labels"] = ["inside", *FORMER_LABELS]
+        file.attrs["quantities"] = json.dumps(stored)
+
+
+def test_a_file_of_the_release_before_is_read_under_the_names_of_now(flow_file):
+    now = load_run(flow_file)
+    make_former(flow_file)
+    read = load_run(flow_file)
+    assert collect_series(read).keys() == collect_series(now).keys()
+    for name, array in collect_series(now).items():
+        np.testing.assert_array_equal(collect_series(read)[name], array)
+    with pytest.raises(RecordError, match="flow.h5 was begun by an earlier version"):
+        load_restart(flow_file)
+
+
+def test_former_names_of_datasets_lead_to_those_of_now(flow_file):
+    run = load_run(flow_file)
+    with pytest.warns(FormerNameWarning, match="Run.contacts is now contact_count"):
+        assert run.contacts is run.contact_count
+    with pytest.warns(FormerNameWarning, match="brought_in is now inserted"):
+        np.testing.assert_array_equal(run.piece_count["brought_in"], FLOW["inserted"])
+    with pytest.raises(KeyError, match="lost"):
+        run.piece_count["lost"]
+    with h5py.File(flow_file) as file:
+        assert file["overlap"] == file["max_relative_overlap"]
+        assert file["contacts/plate"][-1] == 2 and file["piece_count/taken_out"][-1] == 0
+
+
+def test_a_file_of_a_later_format_is_refused(flow_file):
+    with h5py.File(flow_file, "r+") as file:
+        file.attrs["format_version"] = 3
+    with pytest.raises(RecordError, match=r"format_version = 3; allowed: 1 to 2, others need"):
+        load_run(flow_file)

@@ -437,7 +437,7 @@ def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
     ):
         dem_jax.simulate(scene, out=out)
     saved = dem_jax.load_run(out)
-    assert 0.49 < saved.overlap[-1] <= failure.DEEPEST_OVERLAP
+    assert 0.49 < saved.max_relative_overlap[-1] <= failure.DEEPEST_OVERLAP
 
 
 # --- restart ---
