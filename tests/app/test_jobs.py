@@ -247,8 +247,9 @@ def test_a_cancelled_drop_says_where_its_results_are(tmp_path):
         try:
             job = runner.enter(["dem-jax", "run", "ball.toml", "--out", "ball.h5", "--no-plot"])
             task = asyncio.create_task(runner.follow(job))
-            while not job.share:  # samples are there
+            while not job.share and not task.done():  # samples are there
                 await asyncio.sleep(0.05)
+            assert not task.done(), task.result().errors
             runner.cancel(job)
             assert job.state == "ending" and not job.is_over
             return await task
