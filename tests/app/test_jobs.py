@@ -153,6 +153,7 @@ def test_a_prepared_drop_has_the_bits_of_the_command_that_is_shown(tmp_path, run
         try:
             runner.expect(drop)
             while not runner._spare.is_ready:
+                assert runner._spare.process.poll() is None
                 await asyncio.sleep(0.05)
             process = runner._spare.process
             job = runner.enter(command, drop)
