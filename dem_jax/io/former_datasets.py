@@ -3,7 +3,7 @@ of now, and new files have links by the former names, for one release.
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dem_jax.deprecation import warn_of_name
 
@@ -46,7 +46,7 @@ def _rename_quantity(stored: "StoredQuantity") -> "StoredQuantity":
 
 
 def link_former_names(file: "h5py.File", header: "RunHeader") -> None:
-    """Add links by the former names to a new file, so that readers of other makers find them."""
+    """Add links by the former names to a new file, so that other readers find them."""
     import h5py
 
     stored = {each.name: each for each in header.stored_quantities}
@@ -66,14 +66,3 @@ def find_former_name(owner: str, name: str) -> str | None:
     if now is not None:
         warn_of_name(f"{owner}.{name}", now)
     return now
-
-
-class FormerLabels(dict[str, Any]):
-    """The rows of a quantity by label, also by the former ones."""
-
-    def __missing__(self, label: str) -> Any:
-        name = FORMER_LABELS.get(label)
-        if name not in self:
-            raise KeyError(label)
-        warn_of_name(label, name)
-        return self[name]

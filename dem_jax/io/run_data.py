@@ -8,7 +8,7 @@ import numpy as np
 from dem_jax.errors import RecordError
 from dem_jax.io.atomic_files import lock_file
 from dem_jax.io.datasets import FileName, flatten_tree, nest_paths, time_axis
-from dem_jax.io.former_datasets import LABELLED, FormerLabels, find_former_name
+from dem_jax.io.former_datasets import find_former_name
 from dem_jax.io.header import RunHeader
 from dem_jax.io.writer import Writer
 
@@ -76,8 +76,7 @@ class Run:
         if name.startswith("_") or "series" not in found:  # while it is unpickled
             raise AttributeError(name)
         if name in found["series"]:
-            series = found["series"][name]
-            return FormerLabels(series) if name in LABELLED else series
+            return found["series"][name]
         known = {stored.name: stored for stored in self.header.stored_quantities}
         if name not in known:
             if now := find_former_name("Run", name):
