@@ -77,6 +77,7 @@ def test_bias_over_several_data_sets_is_small():
         assert abs(np.mean(values[name])) < 3.5 * spread / np.sqrt(8)
 
 
+@pytest.mark.long
 def test_portions_of_different_pieces_heights_and_sample_times_fit_together():
     from product_model import ensemble, parameters
 
@@ -167,6 +168,7 @@ def test_an_alarm_needs_enough_refits():
     assert "does not describe" in statements(fine | {"peak": 1e-3, "all": 5e-3}, 104)[0]
 
 
+@pytest.mark.long
 def test_a_wrong_weight_is_told():
     wrong = [target(t.time, t.force, 1.25 * t.m_piece, t.pieces) for t in traces(4, 4)]
     found = fit(wrong, bootstrap=0, simulations=64, fine=16)

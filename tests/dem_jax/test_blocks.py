@@ -147,6 +147,7 @@ def test_blocks_of_slots_do_not_change_the_trace():
     assert difference(rows.energy, samples.energy) < 1e-7
 
 
+@pytest.mark.long
 def test_blocks_of_slots_of_shared_surfaces_do_not_change_the_trace(monkeypatch):
     """Each tube stands on six parts and two panels, in contacts that lie in several blocks and are
     one.

@@ -191,6 +191,7 @@ def test_a_run_has_the_parts_in_its_own_file(bent):
     assert parse_scene(assembly.inline_files(kept).to_toml()) == kept
 
 
+@pytest.mark.long
 @needs_coacd
 def test_an_l_falls_and_comes_to_rest(bent):
     """Tilted, from 4 mm above where it lies: it strikes with corners of both parts, rocks and lies

@@ -216,6 +216,7 @@ def test_files_hold_the_lag_and_go_on_from_it(tmp_path):
     )
 
 
+@pytest.mark.long
 def test_steps_that_a_look_at_hulls_interrupts_swing_the_flap_once(monkeypatch):
     points = np.random.default_rng(3).normal(size=(12, 3))
     points *= [[0.014, 0.011, 0.008]] / np.linalg.norm(points, axis=1, keepdims=True)

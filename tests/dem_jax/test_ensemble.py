@@ -88,6 +88,7 @@ def test_members_differ_by_their_seed_alone(three):
     np.testing.assert_array_equal(again.pieces.position[:2, 0], starts[1:])
 
 
+@pytest.mark.long
 def test_capacities_are_grown_for_all(three, monkeypatch):
     monkeypatch.setattr(
         assembly.system, "estimate_capacities", lambda *_: (("plates", 2, 1), ("spheres", 1, 1))

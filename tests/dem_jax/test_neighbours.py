@@ -266,6 +266,7 @@ def test_every_search_counts_the_pairs_that_it_has_no_room_for():
     assert len(set(needed.values())) == 1 and needed["cells", 64] > 640
 
 
+@pytest.mark.long
 def test_the_order_of_the_slots_does_not_matter(marshmallows):
     """Tables permuted before a rebuild keep the history of each pair, and the forces of the next
     step.

@@ -295,6 +295,7 @@ def test_energy_of_mixed_hulls_in_a_closed_box_never_grows_and_the_ledger_closes
     assert off < 1e-3 * mechanical[0]
 
 
+@pytest.mark.long
 def test_a_run_with_kept_features_is_the_one_that_looks_at_all_in_every_step(monkeypatch):
     scene = closed_box(duration=0.03)
     kept = simulate(scene)

@@ -139,7 +139,9 @@ def test_every_quantity_is_in_the_file_with_its_unit_and_comes_back(tmp_path, pr
                 assert file[path].attrs["units"] == quantity.unit, path
                 assert file[path].shape == (*lead, SHORT, *along), path
                 assert file[path].dtype in (dtype, np.int32), path
-        assert set(file) == {q.name for q in (*KEPT, *OWN)} | {"time", "pieces", "restart"}
+        links = h5py.SoftLink  # by former names
+        own = {name for name in file if not isinstance(file.get(name, getlink=True), links)}
+        assert own == {q.name for q in (*KEPT, *OWN)} | {"time", "pieces", "restart"}
     written = collect_series(run)
     run.save(tmp_path / "again.h5")
     again = dem_jax.load_run(tmp_path / "again.h5")
