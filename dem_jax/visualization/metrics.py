@@ -83,7 +83,7 @@ def compute_metrics(run: Run, group: str | None = None, block: str | None = None
 
 
 def _force_metrics(run: Run, group: str) -> list[Metric]:
-    """Peaks of the force (kg), the ends of their band if the range of the modulus is known, and
+    """Peaks of the force (kg), those without softening if the range of the modulus is known, and
     their times (ms).
     """
     mean = run.pif_kg(group)
@@ -91,15 +91,16 @@ def _force_metrics(run: Run, group: str) -> list[Metric]:
     instants = run.pif_kg(group, mean=False).reshape(len(mean), -1)
     peaks, landed = mean.max(axis=1), mean.max(axis=1) > 0.0
     found = [Metric("peak force", "kg", peaks, PEAK_DIGITS)]
-    if (factors := find_peak_band(run)) is not None:
-        names = ("peak force, low end of its band", "peak force, high end of its band")
-        found += [
-            Metric(name, "kg", factor * peaks, PEAK_DIGITS)
-            for name, factor in zip(names, factors, strict=True)
-        ]
     found.append(Metric("peak force, instantaneous", "kg", instants.max(axis=1), PEAK_DIGITS))
     if (over := peak_running_mean(run, group, MEAN_WINDOW)) is not None:
         found.append(Metric("peak force, mean over 10 ms", "kg", over, PEAK_DIGITS))
+    if (factors := find_peak_band(run)) is not None:
+        found += [
+            Metric(
+                f"peak force without softening, {end} modulus", "kg", factor * peaks, PEAK_DIGITS
+            )
+            for end, factor in zip(("least", "greatest"), factors, strict=True)
+        ]
     when = np.where(landed, 1e3 * run.time[mean.argmax(axis=1)], np.nan)
     return [*found, Metric("time of the peak", "ms", when)]
 

@@ -297,8 +297,8 @@ def test_the_summary_says_what_a_peak_rests_on():
         in lines
     )
     rows = {row[0]: row[2] for row in numbers_table(stored(scene=known)).rows}
-    assert rows["peak force, low end of its band"] == pytest.approx(2.0, rel=1e-3)
-    assert rows["peak force, high end of its band"] == pytest.approx(4.0, rel=1e-3)
+    assert rows["peak force without softening, least modulus"] == pytest.approx(2.0, rel=1e-3)
+    assert rows["peak force without softening, greatest modulus"] == pytest.approx(4.0, rel=1e-3)
     assert any("over 10 ms 0.257 kg" in line for line in lines)
 
 
