@@ -241,7 +241,7 @@ def list_children(parent):
 
 
 def test_a_cancelled_drop_says_where_its_results_are(tmp_path):
-    (tmp_path / "ball.toml").write_text(BALL.replace("0.1", "100.0"))
+    (tmp_path / "ball.toml").write_text(BALL.replace("duration = 0.1", "duration = 100.0"))
 
     async def run():
         runner = JobRunner(tmp_path)
