@@ -184,7 +184,7 @@ def test_it_is_the_run_that_simulate_makes():
     # Steps and pairs are the same, sums are taken in another order: 300 steps of rounding.
     np.testing.assert_allclose(found.force["plate"], run.force["plate"], atol=1e-9)
     np.testing.assert_allclose(found.momentum, run.momentum, atol=1e-14)
-    with pytest.raises(AttributeError, match="no 'heat'; it has: contacts, energy, force"):
+    with pytest.raises(AttributeError, match="no 'heat'; it has: contact_count, energy, force"):
         _ = found.heat
 
 
