@@ -302,7 +302,7 @@ def _read_impacts(
         apart = velocity[k, 1, 2] - velocity[k, 0, 2] if i.other else velocity[k, 0, 2]
         peak = np.nan if i.other else float(run.peak_force["plate"][k].max())
         # it is relative to the narrower's width
-        deepest = float(run.overlap[k].max()) * 2 * min(b.radius for b in i.balls)
+        deepest = float(run.max_relative_overlap[k].max()) * 2 * min(b.radius for b in i.balls)
         after.append(ImpactResult(apart, along, surface, 0.0, peak, deepest))
     return _compare_impacts(impacts, after, compared)
 

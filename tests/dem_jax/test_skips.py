@@ -167,7 +167,7 @@ def smooth(made):
     return made.system.materials.replace(friction=jnp.zeros((1, 1), made.system.dt.dtype))
 
 
-@pytest.mark.parametrize("balls", [False, True])
+@pytest.mark.parametrize("balls", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_all_at_once(balls):
     """As the driver runs a scene without friction on a CPU, and with all computed of which none is
     needed there.
