@@ -39,10 +39,9 @@ def rename_quantities(header: "RunHeader") -> "RunHeader":
 
 def _rename_quantity(stored: "StoredQuantity") -> "StoredQuantity":
     labels = stored.labels
-    if labels is not None and stored.name in LABELLED:
-        labels = tuple(FORMER_LABELS.get(label, label) for label in labels)
-    name = FORMER_QUANTITIES.get(stored.name, stored.name)
-    return stored._replace(name=name, labels=labels)
+    if labels is not None:
+        labels = tuple(rename_path(path).partition("/")[2] for path in stored.paths)
+    return stored._replace(name=rename_path(stored.name), labels=labels)
 
 
 def link_former_names(file: "h5py.File", header: "RunHeader") -> None:

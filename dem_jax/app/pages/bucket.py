@@ -195,9 +195,8 @@ def _show_place(session: Session, scene: Scene, show_view: Action) -> Place:
 
     def tell(error: str) -> None:
         words = re.sub(r" \([^)]*\)", "", error.partition(": ")[2].partition("; allowed")[0])
-        for box in boxes[
-            :2
-        ]:  # the mouth of the feed bucket is above the weigh bucket, or it is not
+        # the mouth of the feed bucket is above the weigh bucket, or it is not: x and y
+        for box in boxes[:2]:
             box.error = words or None
 
     for box in boxes:

@@ -180,19 +180,11 @@ async def _show_question(session: Session) -> None:
         async def finish(job: Job) -> None:
             answer.clear()
             with answer:
-                show_answer(job, session.opened_jobs["study"])
+                study = session.opened_jobs["study"]
+                words = f"Answer of {Path(study).stem}: medians and 5 to 95 % bands"
+                parts.show_figure(f"{study}.png", words, job)
 
         key.on_value_change(set_range)
         start.on_click(begin)
         set_range()
         follow = parts.show_job(session, "study", finish)
-
-
-def show_answer(job: Job, study: str) -> None:
-    """The figure of a study, its table in words, and above it what it noted."""
-    parts.show_lines(job.notes)
-    words = f"Answer of {Path(study).stem}: medians and 5 to 95 % bands"
-    ui.html(f'<img alt="{words}" src="/files/{study}.png?inline=true">', sanitize=False).classes(
-        "figure"
-    )
-    parts.show_text("pre", "\n".join(job.lines)).props("tabindex=0")

@@ -141,7 +141,7 @@ def _show_weigh(session: Session, has_cell: bool, count: int) -> None:
         async def finish(job: Job) -> None:
             result.clear()
             with result:
-                show_figure(
+                parts.show_figure(
                     f"{Path(job.argv[2]).stem}-weigh.png",
                     "Readings of the scale and their error",
                     job,
@@ -205,22 +205,13 @@ def _show_fit(session: Session, count: int, show_files: Callable[[], None]) -> N
         async def finish(job: Job) -> None:
             result.clear()
             with result:
-                show_figure(f"{stem}-fit.png", "Traces and the fitted model", job)
+                parts.show_figure(f"{stem}-fit.png", "Traces and the fitted model", job)
             show_files()
 
         follow = parts.show_job(session, "fit", finish)
         forced.on_value_change(write_command)
         start.on_click(lambda: follow(session.workspace.runner.enter(make_argv())))
         write_command()
-
-
-def show_figure(name: str, words: str, job: Job) -> None:
-    """A picture that a command drew, what it printed, and above it what it noted."""
-    parts.show_lines(job.notes)
-    ui.html(f'<img alt="{words}" src="/files/{name}?inline=true">', sanitize=False).classes(
-        "figure"
-    )
-    parts.show_text("pre", "\n".join(job.lines)).props("tabindex=0")
 
 
 def _show_downloads(session: Session) -> None:

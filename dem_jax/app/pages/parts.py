@@ -63,6 +63,15 @@ def show_lines(lines: Sequence[str], style: str = "notes") -> None:
                 show_text("li", line)
 
 
+def show_figure(name: str, words: str, job: Job) -> None:
+    """A picture that a command drew, what it printed, and above it what it noted."""
+    show_lines(job.notes)
+    ui.html(f'<img alt="{words}" src="/files/{name}?inline=true">', sanitize=False).classes(
+        "figure"
+    )
+    show_text("pre", "\n".join(job.lines)).props("tabindex=0")
+
+
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> None:
     """A table whose first column heads the rows."""
     cells = "".join(f"<th scope=col>{_escape(cell)}</th>" for cell in head)
