@@ -12,6 +12,11 @@ from dem_jax.assembly.assembly_cache import AssemblyCache
 Tree = TypeVar("Tree")
 
 
+def put_array(x: ArrayLike) -> jax.Array:
+    """An array as JAX's. ``jnp.asarray`` would compile a copy for each shape, in 4 to 19 ms."""
+    return jax.device_put(x) if isinstance(x, np.ndarray | np.generic) else jnp.asarray(x)
+
+
 def cast_tree(tree: Tree, dtype: DTypeLike) -> Tree:
     """Convert float leaves to the dtype and int leaves to int32."""
 
@@ -21,14 +26,14 @@ def cast_tree(tree: Tree, dtype: DTypeLike) -> Tree:
         x = np.asarray(x)
         with np.errstate(over="ignore"):  # see assembly.finiteness_check
             # converted here: nothing to compile
-            return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))
+            return put_array(x.astype(np.int32 if x.dtype.kind == "i" else dtype))
 
     return jax.tree.map(cast_leaf, tree)
 
 
 def cast_array(x: ArrayLike, dtype: DTypeLike) -> jax.Array:
     """Numbers as an array, converted as by ``cast_tree``."""
-    return jnp.asarray(np.asarray(x, dtype))
+    return put_array(np.asarray(x, dtype))
 
 
 def reuse_array(reuse: AssemblyCache, name: str, numbers: ArrayLike, dtype: DTypeLike) -> jax.Array:

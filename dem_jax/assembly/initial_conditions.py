@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dem_jax import program_store
 from dem_jax.assembly import exchange_plan
+from dem_jax.assembly.dtype_cast import put_array
 from dem_jax.broad_phase import neighbour_list
 from dem_jax.contacts import collision_statistics, ledger
 from dem_jax.errors import SceneError
@@ -182,5 +182,5 @@ def build_initial_state(
         lambda: REBUILD.eval_shape(system, state).scratch,
     )
     scratch = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), form)
-    return jax.tree.map(jnp.asarray, state.replace(scratch=scratch))  # in numpy: each operation of
+    return jax.tree.map(put_array, state.replace(scratch=scratch))  # in numpy: each operation of
     # jax.numpy would be compiled

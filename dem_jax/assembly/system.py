@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import DTypeLike
 
@@ -21,7 +20,7 @@ from dem_jax.assembly.capacities import (
     estimate_row_capacity,
 )
 from dem_jax.assembly.contact_law import extend_to_class
-from dem_jax.assembly.dtype_cast import cast_array, cast_tree, reuse_array
+from dem_jax.assembly.dtype_cast import cast_array, cast_tree, put_array, reuse_array
 from dem_jax.assembly.ensemble_capacity import (
     EnsembleCapacity,
     pad_initial_conditions,
@@ -334,9 +333,9 @@ def _reuse_initial_state(
     state = reuse.get(
         "first state", lambda: build_initial_state(system, start, frames, step, waiting), form
     )
-    moved = lambda: jax.tree.map(jnp.asarray, build_initial_motion(system, start, frames))
+    moved = lambda: jax.tree.map(put_array, build_initial_motion(system, start, frames))
     motion = reuse.get("first motion", moved, (), (start, system.pieces))
-    return state.replace(step=jnp.asarray(np.int32(step)), motion=motion)
+    return state.replace(step=put_array(np.int32(step)), motion=motion)
 
 
 def inline_files(scene: Scene) -> Scene:

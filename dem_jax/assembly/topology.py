@@ -8,12 +8,12 @@ from functools import cached_property, partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Var
 
 from dem_jax.assembly.arrays import Layout, find_arrays
 from dem_jax.assembly.contact_law import build_materials
+from dem_jax.assembly.dtype_cast import put_array
 from dem_jax.assembly.initial_conditions import (
     InitialConditions,
     build_initial_motion,
@@ -163,7 +163,7 @@ def assemble(topology: Topology, parameters: Parameters) -> tuple[System, State]
     scratch = jax.tree.map(lambda form: np.zeros(form.shape, form.dtype), topology.state.scratch)
     # a rebuild is due
     scratch = scratch.replace(rebuild_step=topology.state.step - system.block_steps)
-    return system, state.replace(scratch=jax.tree.map(jnp.asarray, scratch))
+    return system, state.replace(scratch=jax.tree.map(put_array, scratch))
 
 
 def check_parameters(topology: Topology, parameters: Parameters) -> None:
@@ -246,7 +246,7 @@ def _fill_arrays(topology: Topology, parameters: Parameters) -> tuple[System, St
     start = arrays.start
     if not system.has_rotation:
         start = replace(start, spin=np.zeros(start.spin.shape))
-    motion = jax.tree.map(jnp.asarray, build_initial_motion(system, start, topology.frames))
+    motion = jax.tree.map(put_array, build_initial_motion(system, start, topology.frames))
     return system, topology.state.replace(motion=motion)
 
 

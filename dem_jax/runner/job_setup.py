@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import assembly, xla_flags
 from dem_jax.assembly import bucket_fill, precision_check, sampling_check
+from dem_jax.assembly.dtype_cast import put_array
 from dem_jax.assembly.ensemble_capacity import (
     EnsembleCapacity,
     find_ensemble_capacity,
@@ -75,7 +75,7 @@ def prepare_job(
             states = [
                 assembly.build_seeded_state(*row) for row in zip(scenes, built, seeds, strict=True)
             ]
-            state = jax.tree.map(lambda *x: jnp.asarray(_stack_runs(x)), *states)
+            state = jax.tree.map(lambda *x: put_array(_stack_runs(x)), *states)
         if has_feature_cache(system):
             state = overflow_recovery.with_empty_scratch(system, state)
     block, settling = samples_per_block(system), built[0].settling_steps // built[0].step.substeps
