@@ -21,7 +21,9 @@ def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
 
 
 def matrix_to_quaternion(matrix: ArrayLike) -> np.ndarray:
-    """Unit quaternion [4] (w x y z, w >= 0) of a rotation matrix [3, 3]."""
+    """Unit quaternions [..., 4] (w x y z, w >= 0) of rotation matrices [..., 3, 3]."""
     from scipy.spatial.transform import Rotation
 
-    return np.roll(Rotation.from_matrix(matrix).as_quat(canonical=True), 1)  # w first
+    matrices = np.asarray(matrix)
+    quaternions = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.roll(quaternions, 1, axis=-1).reshape(*matrices.shape[:-2], 4)  # w first

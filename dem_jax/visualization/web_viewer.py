@@ -199,11 +199,9 @@ def write_player(title: str, view: dict[str, Any] | None, more: str = "") -> str
 
 def _sample_wall_poses(groups: Sequence[str], wall_pose: WallPose, times: np.ndarray) -> np.ndarray:
     """Origin and quaternion of each group at each time, [F, G, 7]; [1, G, 7] if nothing moves."""
-    each = [[wall_pose(float(t))[group] for group in groups] for t in times]
-    poses = np.array(
-        [[np.r_[origin, matrix_to_quaternion(turn)] for turn, origin in row] for row in each]
-    )
-    poses = poses.reshape(len(times), len(groups), 7)
+    each = wall_pose(times)
+    rows = [np.concatenate([each[g][1], matrix_to_quaternion(each[g][0])], -1) for g in groups]
+    poses = np.stack(rows, 1) if rows else np.zeros((len(times), 0, 7))
     return poses[:1] if (poses == poses[:1]).all() else poses
 
 

@@ -30,3 +30,6 @@ def test_a_quaternion_of_a_matrix_turns_as_the_matrix_does():
         quaternion = matrix_to_quaternion(matrix)
         assert quaternion[0] >= 0
         np.testing.assert_allclose(quaternion_to_matrix(quaternion), matrix, rtol=0, atol=1e-14)
+    every = matrix_to_quaternion(TURNS.as_matrix().reshape(1, -1, 3, 3))
+    np.testing.assert_array_equal(every[0, -1], quaternion)
+    assert every.shape == (1, len(TURNS), 4)
