@@ -4,24 +4,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dem_jax.shapes import Shape, surface_mesh
+
 PIXELS_PER_MM = 1.9
 WIDTH, HEIGHT = 150, 84  # pixels
 BAR = 10.0  # mm, of the scale that each picture has
 TURN, TILT = np.radians(-28.0), np.radians(24.0)  # from where pieces are seen
 LIGHT = np.array([-0.35, 0.55, 0.76])
+BALL = np.concatenate([np.eye(3), -np.eye(3)])  # points of a sphere of radius 1
 PAINT = np.array([232.0, 176.0, 108.0])
 
 
-def draw_piece(points: np.ndarray, faces: Sequence[Sequence[int]], is_round: bool) -> str:
-    """A piece as SVG, at the scale of all others, with a bar of 10 mm.
-
-    Args:
-        points: [V, 3] (m) vertices.
-        faces: vertex indices of each face, counter-clockwise from outside.
-        is_round: whether it is a sphere.
-    """
-    size = 1e3 * PIXELS_PER_MM
-    seen = _turn_points(_lay_along(points)) * size
+def draw_piece(shape: Shape) -> str:
+    """A piece as SVG, at the scale of all others, with a bar of 10 mm."""
+    is_round = shape.radius > 0.0
+    points, faces = (shape.radius * BALL, ()) if is_round else surface_mesh(shape)
+    seen = points if is_round else _turn_points(_lay_along(points))
+    seen = seen * 1e3 * PIXELS_PER_MM
     low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
     scale = min(
         1.0, (WIDTH - 8) / max(high[0] - low[0], 1e-9), (HEIGHT - 20) / max(high[1] - low[1], 1e-9)

@@ -151,13 +151,12 @@ def _describe_product(source: str, name: str, text: str) -> ProductCard:
     from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
     from dem_jax.scene import evidence, library, load_scene
     from dem_jax.scene.material_properties import build_material_table
-    from dem_jax.shapes import surface_mesh
     from dem_jax.visualization.summary import list_piece_notes
 
     scene = load_scene("weigh-bucket", {"product": source, **library.ONE_PIECE})
     goods = build_piece_set(scene)
     weight = 1e3 * float(compute_masses(goods, build_material_table(scene))[0])
-    picture = draw_piece(*surface_mesh(goods.shapes[0]), goods.shapes[0].radius > 0.0)
+    picture = draw_piece(goods.shapes[0])
     tree = library.load_product(source, "products")
     rows = [
         _split_row(row, evidence.find_number_unit(key), key)

@@ -40,9 +40,9 @@ def run_scene(args: Args) -> None:
     else:
         scene, out = simulation_options.load_scene_and_target(args, "")
         from dem_jax.runner.interface import run_job
-        from dem_jax.runner.job_setup import prepare_job
+        from dem_jax.runner.settled_ahead import take_job
 
-        job = prepare_job(scene, (args.seed,), None)
+        job = take_job(scene, args.seed)
         if not args.no_plot:
             simulation_options.import_figure_early()
         done = run_job(job, out, args.overwrite, progress)

@@ -1,7 +1,7 @@
 """python -m dem_jax.cli.worker: one command of the app, in a process that may be ready for it.
 
 Each line of standard input is JSON: {"prepare": {"scene": TOML, "seed": 0, "runs": 1}} imports all
-modules and compiles the program of a scene (null: imports only), and is answered by READY;
+modules, compiles the program of a scene and settles its portion (null: imports only), and is answered by READY;
 {"program": "dem_jax", "argv": ["run", "weigh-bucket"]} is the command, which the worker runs as
 ``python -m PROGRAM ARGV``, with the same output and exit code. When standard input ends, the app is
 gone, and the worker ends, too; a command saves what it has computed.
@@ -35,7 +35,7 @@ def main() -> int:
         _import_ahead()
         if order["prepare"] is not None:
             with suppress(Exception):  # the command itself will say what is wrong
-                compile_program(**order["prepare"])
+                prepare_drop(**order["prepare"], may_go_on=orders.empty)
         print(READY, flush=True)
     return 0
 
@@ -62,31 +62,40 @@ def _import_ahead() -> None:
     import dem_jax.visualization.summary  # noqa: F401
 
 
-def compile_program(scene: str, seed: int, runs: int, uncertain: bool = False) -> None:
-    """Compile the program of a drop, by none of its samples, so that this process has it.
+def prepare_drop(
+    scene: str,
+    seed: int,
+    runs: int,
+    uncertain: bool = False,
+    may_go_on: Callable[[], bool] = lambda: True,
+) -> None:
+    """Compile the program of a drop, so that this process has it, and settle the portion of a
+    single one.
 
     Args:
         scene: TOML text; its files are in the working folder.
         seed: the first.
         runs: number of drops; 1: ``dem-jax run``, more: ``dem-jax ensemble``.
         uncertain: with ``--uncertain``.
+        may_go_on: asked now and then whether no other order waits.
 
     Raises:
         SceneError: it cannot be used.
     """
     from dem_jax.cluster.compile_cache import use_cache
-    from dem_jax.runner import executors
     from dem_jax.runner.ensemble_plan import plan_ensemble
+    from dem_jax.runner.executors import compile_program
     from dem_jax.runner.job_setup import prepare_job
+    from dem_jax.runner.settled_ahead import settle_ahead
     from dem_jax.scene import parse_scene
 
     use_cache()
     read = parse_scene(scene, Path.cwd() / "new.toml")
+    if runs == 1:
+        settle_ahead(read, seed, may_go_on)
+        return
     plan = plan_ensemble(read, runs, seed, None, uncertain)
-    number = None if runs == 1 else runs
-    executors.compile_program(
-        prepare_job(plan.scene, plan.seeds, number, (), None, plan.parameters)
-    )
+    compile_program(prepare_job(plan.scene, plan.seeds, runs, (), None, plan.parameters))
 
 
 def _find_main(program: str) -> Callable[[], int]:

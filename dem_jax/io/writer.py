@@ -49,6 +49,7 @@ from dem_jax.io.header import RunHeader, read_header, write_header
 if TYPE_CHECKING:
     import h5py
 
+FIRST_FLUSH = 0.2  # s after a file was begun, unless the interval is shorter
 PENDING_LIMIT = 256 * 2**20  # bytes of samples in memory, above which a flush is due at any cost
 COPY_BYTES = 2**24  # bytes at a time
 FORMAT_BOUNDS = ("v108", "v108")  # of HDF5: before 1.8 an attribute cannot hold the seeds of more
@@ -68,8 +69,8 @@ class Writer:
     closes it.
 
     Appended data stay in memory until a flush: when `interval` (s) and 20 times its cost have
-    passed since the last one, at `flush()`, and at the end. With interval = 0 each append is
-    flushed.
+    passed since the last one, at `flush()`, and at the end. The first comes after FIRST_FLUSH, for
+    those who watch. With interval = 0 each append is flushed.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class Writer:
         self._known = known  # the file as it was last seen or written; None: there was none
         self._names: set[str] | None = None  # of the series, once known
         self._pending: list[_PendingRows] = []
-        self._last, self._cost = time.monotonic(), 0.0
+        self._last, self._cost, self._has_flushed = time.monotonic(), 0.0, False
 
     @classmethod
     def create(
@@ -172,7 +173,7 @@ class Writer:
                 self._header = replace(self._header, info=self._header.info | each.info)
             del self._pending[: len(appended)]
             self._last = time.monotonic()
-            self._cost = self._last - start
+            self._cost, self._has_flushed = self._last - start, True
 
     def close(self) -> None:
         """Flush."""
@@ -186,11 +187,10 @@ class Writer:
 
     def _is_due(self) -> bool:
         waited = time.monotonic() - self._last
+        interval = self._interval if self._has_flushed else min(self._interval, FIRST_FLUSH)
         pending = sum(a.nbytes for appended in self._pending for a in appended.series.values())
         return (
-            self._interval == 0
-            or waited >= max(self._interval, 20.0 * self._cost)
-            or pending > PENDING_LIMIT
+            interval == 0 or waited >= max(interval, 20.0 * self._cost) or pending > PENDING_LIMIT
         )
 
     def _check_rows(self, arrays: dict[str, np.ndarray], clock: str) -> None:

@@ -1,6 +1,7 @@
 """A run, or an ensemble, that is set up."""
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from dem_jax.runner.chunk import CHUNK_FRAMES, CHUNK_SAMPLES, Clock, Executor
 from dem_jax.runner.parameter_sweep import ParameterSweep
 from dem_jax.scene import Scene
 from dem_jax.types import State, System
+
+if TYPE_CHECKING:
+    from dem_jax.runner.chunk_result import ChunkResult
 
 CHUNK_TIME = 8.0  # s that a chunk should take on one core, by this estimate of a step and, in it,
 # of each body (s):
@@ -53,6 +57,7 @@ class Job:
     # the reasons
     part: EnsemblePart | None = None  # of a job that computes some runs of an ensemble
     slow: bool = True  # all pieces, since the last check of the rule
+    ahead: "tuple[ChunkResult, ...]" = ()  # its first chunks, if they are computed already
     clock: Clock = field(default_factory=Clock)
 
     def number_of(self, run: int) -> int:

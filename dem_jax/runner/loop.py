@@ -58,13 +58,14 @@ def iterate_chunks(job: Job, shown: Progress) -> Iterator[ChunkResult]:
     alone.
     """
     system, state, slow = job.system, job.state, job.slow
-    at = job.sample_index(state)
+    at, ahead = job.sample_index(state), iter(job.ahead)
     while at < job.samples:
         end = min(job.chunk_end(at), job.samples)
-        state = piece_exchange.exchange_pieces(job, state, at)
-        span = apply_stop_criterion(
-            job, compute_chunk(job, system, state, at, end - at, shown), slow
-        )
+        span = next(ahead, None)
+        if span is None:
+            state = piece_exchange.exchange_pieces(job, state, at)
+            done = compute_chunk(job, system, state, at, end - at, shown)
+            span = apply_stop_criterion(job, done, slow)
         yield span
         system, state, slow = span.system, span.state, span.slow
         at = end if not span.settled else 0 if end < 0 else job.samples

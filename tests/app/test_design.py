@@ -30,6 +30,7 @@ from dem_jax.app.pages.model import DOWNLOADS, make_commands
 from dem_jax.app.pages.product import find_weight_error
 from dem_jax.cli.main import build_parser
 from dem_jax.errors import SceneError
+from dem_jax.shapes.primitives import cuboid, sphere
 from dem_jax.study.config import Study
 
 LIKE = {
@@ -167,10 +168,11 @@ def test_a_question_is_a_study():
 
 
 def test_a_picture_is_to_scale():
-    box = trimesh.creation.box((0.03, 0.02, 0.01))
-    narrow = draw_piece(np.asarray(box.vertices) / 3, box.faces.tolist(), False)
-    assert f'h{10 * PIXELS_PER_MM:.1f}"' in narrow
-    assert draw_piece(np.eye(3), [[0, 1, 2]], False) != narrow
+    bar = f'h{10 * PIXELS_PER_MM:.1f}"'
+    brick, cube, large = (cuboid((x, 0.02, 0.01)) for x in (0.03, 0.02, 0.3))
+    assert bar in draw_piece(brick) and draw_piece(cube) != draw_piece(brick)
+    assert bar not in draw_piece(large), "it would not fit"
+    assert f'<circle r="{5 * PIXELS_PER_MM:.2f}"' in draw_piece(sphere(0.005))
 
 
 def test_a_thinned_curve_keeps_its_peak_and_its_ends():

@@ -334,7 +334,19 @@ def test_the_file_can_be_read_while_it_is_written(tmp_path):
     assert len(load_run(tmp_path / "run.h5").time) == 20
 
 
-def test_flushes_are_spaced_and_the_last_one_comes_with_the_end(tmp_path):
+def test_the_first_flush_comes_early_for_those_who_watch(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("dem_jax.io.writer.time.monotonic", lambda: now[0])
+    writer = Writer.create(tmp_path / "run.h5", header(), interval=3600)
+    for start, later, held in ((0, 0.1, 0), (5, 0.15, 10), (10, 3000.0, 10), (15, 1000.0, 20)):
+        now[0] += later
+        writer.append(samples(start, 5))
+        with h5py.File(tmp_path / "run.h5") as file:
+            assert len(file.get("time", ())) == held
+
+
+def test_flushes_are_spaced_and_the_last_one_comes_with_the_end(tmp_path, monkeypatch):
+    monkeypatch.setattr("dem_jax.io.writer.FIRST_FLUSH", 3600)
     with Writer.create(tmp_path / "run.h5", header(), interval=3600) as writer:
         writer.append(samples(0, 10))
         with pytest.raises(

@@ -200,8 +200,8 @@ def show_job(
         message = ui.label()
         with ui.element("div").classes("job-line"):
             bar = ui.linear_progress(0, show_value=False, size="10px").props(
-                "rounded aria-label=Progress"
-            )
+                "rounded instant-feedback aria-label=Progress"
+            )  # without graphics hardware an animation would take a core from the drop
             cancel = ui.button(
                 "Cancel", on_click=lambda: session.workspace.runner.cancel(session.jobs[page])
             )
@@ -216,7 +216,6 @@ def show_job(
         message.set_text(job.message)
         message.classes(replace="error" if job.state in ("failed", "cancelled") else "job-message")
         bar.set_value(1.0 if job.state == "done" else job.share or 0.0)
-        bar.props(f"indeterminate={'true' if job.share is None and not job.is_over else 'false'}")
         bar.set_visibility(not job.is_over)
         cancel.set_visibility(job.state in ("waiting", "running"))
         if job.is_over:

@@ -4,7 +4,7 @@
 "use strict";
 
 (function () {
-  const PAUSE = 400; // ms, at least, between two questions
+  const PAUSE = 200; // ms, at least, between two questions
   const canvas = document.getElementById("drop");
   const slider = document.getElementById("time");
   const shown = document.getElementById("shown");
