@@ -32,7 +32,9 @@ CHUNK_ROWS = 1024  # samples per chunk: 8 KiB of a scalar series in double preci
 
 @contextmanager
 def open_for_reading(path: FileName) -> "Iterator[h5py.File]":
-    """Open an HDF5 file for reading; errors of HDF5 become one clear line."""
+    """Open an HDF5 file for reading; errors of HDF5 become one clear line, and so does a file that
+    takes values from other files.
+    """
     import h5py
 
     check_readable(path)
@@ -40,6 +42,7 @@ def open_for_reading(path: FileName) -> "Iterator[h5py.File]":
         raise RecordError(f"{path} is not an HDF5 file (or its beginning is lost)")
     try:
         with h5py.File(path, "r") as file:
+            _check_own_values(file, path)
             yield file
     except RecordError:
         raise
@@ -48,6 +51,25 @@ def open_for_reading(path: FileName) -> "Iterator[h5py.File]":
     except Exception as error:  # HDF5 and its readers raise whatever the bytes made them trip over
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise RecordError(f"{path} is damaged or cut short: {reason}") from error
+
+
+def _check_own_values(file: "h5py.File", path: FileName) -> None:
+    """Raise RecordError for a file with links into other files, or with values that lie in them: it
+    may come from anybody.
+    """
+    import h5py
+
+    def check_link(name: str, link: Any) -> str | None:
+        return name if isinstance(link, h5py.ExternalLink) else None
+
+    def check_values(name: str, item: Any) -> str | None:
+        elsewhere = isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
+        return name if elsewhere else None
+
+    if name := file.visititems_links(check_link) or file.visititems(check_values):
+        raise RecordError(
+            f"{path}: {name} lies in another file; allowed: a file that contains all of its values"
+        )
 
 
 def check_readable(path: FileName) -> None:

@@ -467,6 +467,36 @@ def test_other_files_are_refused_by_what_they_lack(tmp_path):
         load_run(tmp_path / "run.h5")
 
 
+def link_to(file, name, other):
+    file[name] = h5py.ExternalLink(other, "secret")
+
+
+def share_values(file, name, other):
+    layout = h5py.VirtualLayout(shape=(3,), dtype=float)
+    layout[:] = h5py.VirtualSource(other, "secret", shape=(3,))
+    file.create_virtual_dataset(name, layout)
+
+
+def keep_values(file, name, other):
+    file.create_dataset(name, (3,), float, external=[(other, 0, 24)])
+
+
+@pytest.mark.parametrize("place", [link_to, share_values, keep_values])
+@pytest.mark.parametrize("name", ["force", "pieces/colour", "new/group/values"])
+def test_a_file_whose_values_lie_in_another_one_is_refused(tmp_path, place, name):
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["secret"] = np.arange(3.0)
+    written(tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        if name in file:
+            del file[name]
+        place(file, name, str(tmp_path / "other.h5"))
+    words = f"run.h5: {name} lies in another file; allowed: a file that contains all of its values"
+    for read in (load_run, load_restart):
+        with pytest.raises(RecordError, match=words):
+            read(tmp_path / "run.h5")
+
+
 def test_samples_that_do_not_fit_are_refused_before_anything_is_written(tmp_path):
     writer = Writer.create(tmp_path / "run.h5", header(run_count=2), interval=0)
     writer.append(samples(0, 10, 2))
