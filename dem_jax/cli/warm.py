@@ -68,7 +68,8 @@ def warm(args: Args) -> None:
         made = compile_programs(args.scene, missing, use_cache, args.workers)
         for _ in tqdm(made, total=len(missing), unit="program", disable=args.quiet):
             pass
+    scenes = f"{len(wanted)} scene{'s' * (len(wanted) != 1)}"
+    programs = f"{count} program{'s' * (count != 1)}"
     print(
-        f"{len(wanted)} scenes share {count} programs, {len(missing)} of which were compiled"
-        f" in {time.perf_counter() - start:.0f} s"
+        f"{scenes} need {programs}; compiled: {len(missing)} in {time.perf_counter() - start:.0f} s"
     )
