@@ -18,6 +18,7 @@ from PIL import Image
 from dem_jax.app.pages.model import DOWNLOADS
 from dem_jax.io.run_files import load_run
 from dem_jax.scene import load_scene, parse_scene
+from dem_jax.study.results_file import load_results
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -441,3 +442,23 @@ def test_unknown_numbers_are_drawn_by_a_switch(server, browser):
     tab.get_by_role("button", name="One drop").click()
     command.get_by_text("dem-jax run").wait_for()
     assert switch.is_disabled() and tab.said == []
+
+
+@pytest.mark.long
+def test_a_question_is_answered_by_clicks(server, browser):
+    tab = open_tab(browser, server[1])
+    step(tab, "Compare")
+    for label, choice in (("Values", "2 values"), ("Drops at each value", "2 drops")):
+        tab.get_by_role("combobox", name=label, exact=True).click()
+        tab.get_by_role("option", name=choice).click()
+    before = set(server[0].glob("*what-if*.h5"))
+    tab.get_by_role("button", name="Find out").click()
+    picture = tab.get_by_alt_text(re.compile("^Answer of .*: medians and 5 to 95 % bands$"))
+    picture.wait_for()
+    (found,) = set(server[0].glob("*what-if*.h5")) - before
+    assert picture.evaluate("image => image.naturalWidth") > 300
+    assert tab.locator(".command pre").get_by_text(f"dem-jax study {found.stem}.toml").count() == 1
+    results = load_results(found)
+    assert results.study.seeds == 2 and len(results.study.parameter["drop.height"].values) == 2
+    assert all(len(values) == 4 for values in results.outputs.values())
+    assert tab.said == []
