@@ -63,11 +63,7 @@ def _import_ahead() -> None:
 
 
 def prepare_drop(
-    scene: str,
-    seed: int,
-    runs: int,
-    uncertain: bool = False,
-    may_go_on: Callable[[], bool] = lambda: True,
+    scene: str, seed: int, runs: int, uncertain: bool, may_go_on: Callable[[], bool]
 ) -> None:
     """Compile the program of a drop, so that this process has it, and settle the portion of a
     single one.

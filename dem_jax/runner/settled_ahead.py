@@ -24,7 +24,7 @@ def settle_ahead(scene: Scene, seed: int, may_go_on: Callable[[], bool]) -> None
     Args:
         scene: of the run.
         seed: of the run.
-        may_go_on: asked after each chunk whether the next is computed, too.
+        may_go_on: asked before each chunk whether it is computed.
 
     Raises:
         SceneError: the scene cannot be used; nothing is kept.
@@ -32,15 +32,15 @@ def settle_ahead(scene: Scene, seed: int, may_go_on: Callable[[], bool]) -> None
     _KEPT.clear()
     job = prepare_job(scene, (seed,), None)
     compile_program(job)
-    spans = []
+    spans, at = [], job.sample_index(job.state)
     with jax.enable_x64(job.is_double), Progress(job, False) as shown:
-        if job.sample_index(job.state) < 0 and may_go_on():
-            for span in loop.iterate_chunks(job, shown):
-                if span.failed:  # as the run itself will find
-                    break
-                spans.append(span)
-                if span.end >= 0 or span.settled or not may_go_on():
-                    break
+        chunks = loop.iterate_chunks(job, shown)
+        while at < 0 and may_go_on():
+            span = next(chunks)
+            if span.failed:  # as the run itself will find
+                break
+            spans.append(span)
+            at = 0 if span.settled else span.end
     _KEPT.append(replace(job, ahead=tuple(spans)))
 
 
