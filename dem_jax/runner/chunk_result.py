@@ -41,6 +41,12 @@ class ChunkResult:
         """Number of the first sample after the chunk."""
         return self.first + self.count
 
+    def find_next(self, samples: int) -> int:
+        """Number of the sample at which the run of ``samples`` goes on; at its end ``samples``."""
+        if not self.settled:
+            return self.end
+        return 0 if self.end < 0 else samples
+
 
 def compute_chunk(
     job: Job, system: System, state: State, first: int, count: int, shown: Progress

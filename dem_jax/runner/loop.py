@@ -68,7 +68,7 @@ def iterate_chunks(job: Job, shown: Progress) -> Iterator[ChunkResult]:
             span = apply_stop_criterion(job, done, slow)
         yield span
         system, state, slow = span.system, span.state, span.slow
-        at = end if not span.settled else 0 if end < 0 else job.samples
+        at = span.find_next(job.samples)
 
 
 def _list_new_notes(job: Job, span: ChunkResult, notes: list[str], shown: Progress) -> list[str]:

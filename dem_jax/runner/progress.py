@@ -83,7 +83,7 @@ class Progress:
 
     def show_chunk(self, span: "ChunkResult") -> None:
         """Show that a chunk is done."""
-        left_out = (0 if span.end < 0 else self._job.samples) - span.end if span.settled else 0
+        left_out = span.find_next(self._job.samples) - span.end
         self._share = (span.end + left_out - self._from) / max(self._job.samples - self._from, 1)
         if self._tell is not None:
             self._tell(self._name_phase(span.end), self._share)

@@ -40,7 +40,7 @@ def settle_ahead(scene: Scene, seed: int, may_go_on: Callable[[], bool]) -> None
             if span.failed:  # as the run itself will find
                 break
             spans.append(span)
-            at = 0 if span.settled else span.end
+            at = span.find_next(job.samples)
     _KEPT.append(replace(job, ahead=tuple(spans)))
 
 

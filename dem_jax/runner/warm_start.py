@@ -23,7 +23,7 @@ def start_from_heap(job: Job, settling: Job) -> Job:
                 raise failure.describe_failure(
                     settling, span, jax.device_get(span.state), *span.failed
                 )
-            if span.end >= 0:
+            if span.find_next(settling.samples) >= 0:
                 break
         rooms = (
             span.system.capacity,

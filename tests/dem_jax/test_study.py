@@ -343,12 +343,16 @@ def test_numbers_of_pieces_are_those_of_table_2_and_need_no_drop(monkeypatch):
     )
 
 
-def test_a_heap_is_the_same_whatever_it_is_released_into():
-    """Balls that settle at restitution 0.1 and start from there with all others."""
+@pytest.mark.parametrize("longest, until_settled", [(0.1, False), (0.6, True)])
+def test_a_heap_is_the_same_whatever_it_is_released_into(longest, until_settled):
+    """Balls that settle at restitution 0.1 and start from there with all others; also if they are
+    at rest before the time for it is over.
+    """
     base = BALL["set"] | {
         "portion.arrangement": "settled",
-        "portion.settling_time": 0.1,
+        "portion.settling_time": longest,
         "portion.region_high": [0.05, 0.05, 0.03],
+        "run.until_settled": until_settled,
     }
     base |= {"run.frame_interval": 1e-3, "run.duration": 0.01}
     table = ball(
