@@ -28,8 +28,6 @@ from dem_jax.types import (
     as_array,
 )
 
-REBUILD = jax.jit(neighbour_list.rebuild_neighbour_list)  # traced once for all systems of the same
-# form
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 
 
@@ -179,7 +177,7 @@ def build_initial_state(
     form = program_store.recall(
         "scratch",
         (system.replace(quantities=()), state),
-        lambda: REBUILD.eval_shape(system, state).scratch,
+        lambda: jax.eval_shape(neighbour_list.rebuild_neighbour_list, system, state).scratch,
     )
     scratch = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), form)
     return jax.tree.map(put_array, state.replace(scratch=scratch))  # in numpy: each operation of

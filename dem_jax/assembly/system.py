@@ -116,6 +116,7 @@ def assemble_system(
     law: ContactLaw | None = None,
     reuse: AssemblyCache | None = None,
     room: EnsembleCapacity | None = None,
+    slot_block: int = 0,
 ) -> AssembledSystem:
     """Assemble the system and first state of a scene.
 
@@ -125,6 +126,7 @@ def assemble_system(
         law: used instead of the scene's contact law.
         reuse: cache of earlier scenes.
         room: capacity of an ensemble whose runs have different numbers of pieces.
+        slot_block: ``System.slot_block``.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -219,7 +221,7 @@ def assemble_system(
         statistics=build_collision_bins(scene, len(panels), dtype),
         sample_parts=step.parts,
         block_steps=block_steps(scene),
-        slot_block=0,
+        slot_block=slot_block,
         exchanges=plan is not None,
         runs=1,
         blocks=tuple(b.name for b in blocks),

@@ -10,7 +10,7 @@ not an error here but data: the host grows the capacity and repeats the chunk.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -69,8 +69,8 @@ class FoundContacts(NamedTuple):
     slots: PairConstants
     filled: Array  # int32: number of filled slots
     needed: Array  # [2] int32, see ``OverflowReport``
-    feature_cache: tuple[ActiveFeatures, SupportFaces] | None  # for polytopes with cached active
-    # features
+    matched: tuple[Array, Array]  # [P] the slot of each pair before the rebuild, and whether it had
+    # one, see ``match_contacts``
 
 
 class Incidence(NamedTuple):
@@ -92,6 +92,29 @@ def rebuild_neighbour_list(
         panels = kinematics.apply_compliance(
             system, state, kinematics.wall_state_at_rebuild(system, state.step)
         )
+    new, matched = _search_contacts(
+        system.replace(quantities=()), state.replace(scratch=None), panels
+    )
+    if state.scratch is None:
+        return new
+    carried = {
+        kind: _carry_features(system, kind, state.scratch, new.scratch, *matched[kind])
+        for kind in new.scratch.active_features
+    }
+    scratch = new.scratch.replace(
+        active_features={kind: features for kind, (features, _) in carried.items()},
+        support_faces={kind: faces for kind, (_, faces) in carried.items()},
+    )
+    return new.replace(scratch=scratch)
+
+
+@partial(jax.jit, inline=True)  # traced once for the first state and the program of its run
+def _search_contacts(
+    system: System, state: State, panels: kinematics.WallState
+) -> tuple[State, dict[str, tuple[Array, Array]]]:
+    """``rebuild_neighbour_list`` of a state without scratch, with an empty feature cache; also
+    ``FoundContacts.matched`` of each kind.
+    """
     stacked = packed_bodies.pack_bodies(system, state, jnp.zeros_like(state.velocity), panels)
     lead = _max_rebuild_interval(system) * _max_approach_speed(system, state, panels)
     by = SearchInput(stacked, system.skin + system.reach + lead, state.guard.start_overlap < 0)
@@ -109,6 +132,11 @@ def rebuild_neighbour_list(
     )
     filled = {kind: one.filled for kind, one in found.items()}
     shared = [kind for kind, one in found.items() if one.slots.surface_a is not None]
+    caches = {
+        kind: empty_feature_cache(system, len(one.table.a))
+        for kind, one in found.items()
+        if _keeps_features(system, kind)
+    }
     scratch = Scratch(
         slots={kind: one.slots for kind, one in found.items()},
         filled=filled,
@@ -125,12 +153,8 @@ def rebuild_neighbour_list(
             for kind in shared
         },
         shares={kind: jnp.ones_like(found[kind].table.memory.overlap) for kind in shared},
-        active_features={
-            kind: one.feature_cache[0] for kind, one in found.items() if one.feature_cache
-        },
-        support_faces={
-            kind: one.feature_cache[1] for kind, one in found.items() if one.feature_cache
-        },
+        active_features={kind: features for kind, (features, _) in caches.items()},
+        support_faces={kind: faces for kind, (_, faces) in caches.items()},
         is_first=by.is_first,
         remaining_margin=jnp.where(found["hulls"].slots.live, -1, jnp.inf).astype(system.dt.dtype)
         if "hulls" in found
@@ -139,9 +163,32 @@ def rebuild_neighbour_list(
         pending_bodies=stacked if has_feature_cache(system) else None,
         pending_step=state.step,
     )
-    return state.replace(
+    new = state.replace(
         contacts=tables, incidence=incidence.load_columns, guard=guard, scratch=scratch
     )
+    return new, {kind: one.matched for kind, one in found.items()}
+
+
+def _keeps_features(system: System, kind: str) -> bool:
+    return kind == "hulls" and has_feature_cache(system)
+
+
+def _carry_features(
+    system: System, kind: str, old: Scratch, new: Scratch, slot: Array, known: Array
+) -> tuple[ActiveFeatures, SupportFaces]:
+    """The cached features of a kind after a rebuild. slot, known: ``FoundContacts.matched``."""
+    before, empty = (
+        (scratch.active_features[kind], scratch.support_faces[kind]) for scratch in (old, new)
+    )
+    size = tiling.tile_size(system, kind, len(slot)) or len(slot)
+
+    def carry_tile(
+        k: Array, near: tuple[ActiveFeatures, SupportFaces]
+    ) -> tuple[ActiveFeatures, SupportFaces]:
+        none, *of = tiling.slice_tile((near, slot, known), k, size)
+        return tiling.update_tile(near, carry_history(before, none, *of), k, size)
+
+    return jax.lax.fori_loop(0, (new.filled[kind] + size - 1) // size, carry_tile, empty)
 
 
 def _find_contacts(
@@ -171,9 +218,8 @@ def _find_contacts(
         jnp.concatenate(close), jnp.concatenate(one), jnp.concatenate(other), candidates
     )
     overlap, relative = _candidate_overlaps(system, kind, a, b, number, by.stacked)
-    keeps = kind == "hulls" and has_feature_cache(system)  # the initial overlap is then recorded by
-    # the first feature search
-    guard = guard if keeps else _record_initial_overlap(guard, by.is_first, relative, a, b)
+    if not _keeps_features(system, kind):  # else the first feature search records it
+        guard = _record_initial_overlap(guard, by.is_first, relative, a, b)
     touching, a, b = compact_overlapping_first(
         overlap, batch_reduction.take_run_values(system, by.reach, jnp.maximum(b, 0)), a, b, room
     )
@@ -189,23 +235,7 @@ def _find_contacts(
             state.contacts[kind].memory, init_contact_history(system, kind, slots), slot, known
         ),
     )
-    near = None
-    if keeps:
-        near = empty_feature_cache(system, room)
-        if state.scratch:
-            old, size = (
-                (state.scratch.active_features[kind], state.scratch.support_faces[kind]),
-                tiling.tile_size(system, kind, room) or room,
-            )
-
-            def carry_tile(
-                k: Array, near: tuple[ActiveFeatures, SupportFaces]
-            ) -> tuple[ActiveFeatures, SupportFaces]:
-                none, *of = tiling.slice_tile((near, slot, known), k, size)
-                return tiling.update_tile(near, carry_history(old, none, *of), k, size)
-
-            near = jax.lax.fori_loop(0, (filled + size - 1) // size, carry_tile, near)
-    return guard, FoundContacts(table, slots, filled, needed, near)
+    return guard, FoundContacts(table, slots, filled, needed, (slot, known))
 
 
 def _largest_run_needs(system: System, near: Array, touching: Array, b: Array) -> Array:

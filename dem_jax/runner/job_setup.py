@@ -15,12 +15,10 @@ from dem_jax.assembly.ensemble_capacity import (
     find_ensemble_capacity,
     find_size_class,
 )
-from dem_jax.broad_phase import overflow_recovery
 from dem_jax.contact_laws import ContactLaw
 from dem_jax.dynamics import interleaved_batch
 from dem_jax.dynamics.quantity import Quantity, validate_quantities
 from dem_jax.errors import SceneError
-from dem_jax.narrow_phase.contact_geometry import has_feature_cache
 from dem_jax.runner import executors, parameter_sweep, stop_criterion
 from dem_jax.runner.job import Job, samples_per_block
 from dem_jax.scene import Scene, load_scene
@@ -67,17 +65,12 @@ def prepare_job(
             else (None, built[0].system)
         )
         sampled = validate_quantities((*system.quantities, *quantities))
-        system, state = (
-            system.replace(slot_block=choose_slot_block(), quantities=sampled),
-            built[0].state,
-        )
+        system, state = system.replace(quantities=sampled), built[0].state
         if runs is not None:
             states = [
                 assembly.build_seeded_state(*row) for row in zip(scenes, built, seeds, strict=True)
             ]
             state = jax.tree.map(lambda *x: put_array(_stack_runs(x)), *states)
-        if has_feature_cache(system):
-            state = overflow_recovery.with_empty_scratch(system, state)
     block, settling = samples_per_block(system), built[0].settling_steps // built[0].step.substeps
     rule = stop_criterion.merge_criteria(
         [
@@ -122,14 +115,16 @@ def _assemble_scenes(
     which may count pieces.
     """
     rows = list(scenes.values())
-    make = lambda room: {k: assemble_scene(s, seed, law, reuse, room) for k, s in scenes.items()}
+    block = choose_slot_block()
+    make = lambda room: {
+        k: assemble_scene(s, seed, law, reuse, room, block) for k, s in scenes.items()
+    }
     if has_quantities or law is not None or jax.default_backend() != "cpu":
         return make(find_ensemble_capacity(rows, reuse) if len(rows) > 1 else None)
     if runs is not None and runs >= interleaved_batch.RUNS_AT_ONCE and len(rows) == 1:
         made = make(None)
         (one,) = made.values()
-        system = one.system.replace(slot_block=choose_slot_block())
-        if interleaved_batch.is_batch_worthwhile(system, runs):
+        if interleaved_batch.is_batch_worthwhile(one.system, runs):
             return made
     return make(find_size_class(rows, reuse))
 
@@ -185,11 +180,12 @@ def assemble_scene(
     law: ContactLaw | None,
     reuse: assembly.AssemblyCache | None = None,
     room: EnsembleCapacity | None = None,
+    slot_block: int = 0,
 ) -> assembly.AssembledSystem:
     """Assemble as ``assembly.assemble_system``; numerical errors that no check foresaw become one
     line as well."""
     try:
-        return assembly.assemble_system(scene, seed, law, reuse, room)
+        return assembly.assemble_system(scene, seed, law, reuse, room, slot_block)
     except (ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
         far = f"furthest from what is usual is {most_unusual_key(scene)}"
