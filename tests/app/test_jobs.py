@@ -139,7 +139,7 @@ def read_arrays(path):
         return found
 
 
-@pytest.mark.parametrize("runs", [1, 16])
+@pytest.mark.parametrize("runs", [1, pytest.param(16, marks=pytest.mark.long)])
 def test_a_prepared_drop_has_the_bits_of_the_command_that_is_shown(tmp_path, runs):
     """The file of a job in a process that has compiled before, against the one of the same command
     in a process of its own; of several drops each with numbers of its own, whose shares are shown.

@@ -471,7 +471,7 @@ def uninterrupted(tmp_path_factory):
     return folder / "run.h5"
 
 
-@pytest.mark.parametrize("flushes", [2, 12])
+@pytest.mark.parametrize("flushes", [2, pytest.param(12, marks=pytest.mark.long)])
 def test_a_killed_run_goes_on_and_ends_with_the_bits_of_one_that_was_not(
     tmp_path, uninterrupted, flushes
 ):
