@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dem_jax import assembly, program_store, xla_flags
-from dem_jax.broad_phase import overflow_recovery
+from dem_jax.broad_phase import neighbour_list, overflow_recovery
 from dem_jax.contact_laws.linear_dashpot import LinearDashpot
 from dem_jax.contacts import tiling
 from dem_jax.dynamics import stepping
@@ -101,6 +101,19 @@ def test_a_stored_program_is_found_without_tracing(traces, tmp_path):
     law = LawOfAUser(np.float64(1.0))
     assert go(law)[1] == go(law)[1] > 0  # its code is not among what the name of a file says
     assert len(list(store.glob("program-*"))) == 1
+
+
+def test_the_search_for_contacts_is_traced_once(monkeypatch):
+    """For the first state and for the program of its run."""
+    count = []
+    find = neighbour_list.match_contacts
+    monkeypatch.setattr(
+        neighbour_list, "match_contacts", lambda *args: count.append(1) or find(*args)
+    )
+    monkeypatch.setattr(programs, "EXECUTABLES", {})
+    neighbour_list._search_contacts.clear_cache()
+    simulate(load_scene("plate-drop").replace({"run.duration": 1e-3}))
+    assert len(count) == 1  # of one kind of contact
 
 
 def test_flags_of_the_person_are_left_alone(monkeypatch):

@@ -93,7 +93,9 @@ def landed(turned, counts):
     )
 
 
-@pytest.mark.parametrize("turned", ["corner", *(pytest.param(way, marks=pytest.mark.long) for way in ("flat", "edge"))])
+@pytest.mark.parametrize(
+    "turned", ["corner", *(pytest.param(way, marks=pytest.mark.long) for way in ("flat", "edge"))]
+)
 @pytest.mark.parametrize(
     "counts", [pytest.param((2, 1, 1), marks=pytest.mark.long), (2, 2, 1)], ids=str
 )
