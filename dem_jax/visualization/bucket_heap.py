@@ -1,5 +1,5 @@
 """The heap in a weigh bucket at the end of a run: its height, the filling of the bucket, and the
-pieces outside.
+pieces that are not part of it.
 """
 
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from dem_jax.math.pose import quaternion_to_matrix
 from dem_jax.scene import Scene, parse_scene
 from dem_jax.scene.fill_level import BucketCapacity, map_heights
 from dem_jax.shapes import Shape, surface_mesh
+from dem_jax.types import SETTLED_SPEED
 
 
 class Heap(NamedTuple):
@@ -20,14 +21,16 @@ class Heap(NamedTuple):
 
     height: (m) of its highest point above the bucket's deepest. brim_height: (m) of the brim.
     level: volume below the heap as seen from above over that of the bucket. count_above_brim:
-    pieces in it whose highest point is above the brim. count_beside: pieces below the brim that are
-    outside the mouth.
+    pieces in it whose highest point is above the brim. count_moving: pieces over the bucket's inside
+    that are not at rest (``SETTLED_SPEED``), as in flight, which are not part of the heap.
+    count_beside: pieces below the brim that are outside the mouth.
     """
 
     height: float
     brim_height: float
     level: float
     count_above_brim: int
+    count_moving: int
     count_beside: int
 
     def __str__(self) -> str:
@@ -38,6 +41,8 @@ class Heap(NamedTuple):
             if self.count_above_brim
             else ""
         )
+        if self.count_moving:
+            said += f"; {_format_count(self.count_moving)} still moving"
         return said + (
             f"; {_format_count(self.count_beside)} beside the bucket" if self.count_beside else ""
         )
@@ -78,13 +83,20 @@ def find_heap(run: Run) -> Heap | None:
         capacity,
         np.asarray(run.pieces.position[-1], float),
         np.asarray(run.pieces.orientation[-1], float),
+        np.linalg.norm(run.pieces.velocity[-1], axis=-1) >= SETTLED_SPEED,
     )
 
 
 def _measure_heap(
-    scene: Scene, capacity: BucketCapacity, position: np.ndarray, orientation: np.ndarray
+    scene: Scene,
+    capacity: BucketCapacity,
+    position: np.ndarray,
+    orientation: np.ndarray,
+    moves: np.ndarray,
 ) -> Heap:
-    """The heap of pieces at positions [N, 3] (m) with orientations [N, 4], in a bucket."""
+    """The heap of pieces at positions [N, 3] (m) with orientations [N, 4], in a bucket; moves: [N]
+    bool, pieces that are not at rest.
+    """
     feed = scene_bucket_parts(scene, "feed_bucket")
     top = np.inf if feed is None else feed.block.low[2]  # above it they are in the feed bucket
     cells = np.floor((position[:, :2] - capacity.surface.origin) / capacity.surface.cell).astype(
@@ -94,6 +106,8 @@ def _measure_heap(
     is_in = there.copy()
     is_in[there] = capacity.is_wet[tuple(cells[there].T)]
     is_in &= (position[:, 2] > capacity.bottom) & (position[:, 2] < top)
+    beside = int((~is_in & (position[:, 2] < capacity.brim)).sum())
+    moving, is_in = int((is_in & moves).sum()), is_in & ~moves
     made = [
         shape for shape, taken in zip(build_piece_set(scene).shapes, is_in, strict=True) if taken
     ]
@@ -102,17 +116,15 @@ def _measure_heap(
         for row in zip(made, position[is_in], orientation[is_in], strict=True)
     ]
     tops = np.array([max(face[:, 2].max() for face in piece) for piece in faces])
-    beside = int((~is_in & (position[:, 2] < capacity.brim)).sum())
     if not faces:
-        return Heap(0.0, capacity.brim - capacity.bottom, 0.0, 0, beside)
+        return Heap(0.0, capacity.brim - capacity.bottom, 0.0, 0, moving, beside)
     heights = map_heights([face for piece in faces for face in piece], like=capacity.surface).ridge
     ground = np.where(np.isfinite(capacity.surface.floor), capacity.surface.floor, capacity.brim)
     depth = np.where(capacity.is_wet, np.maximum(heights - ground, 0.0), 0.0)
     level = float(depth.sum()) * capacity.surface.cell**2 / capacity.volume
     over = int((tops > capacity.brim).sum())
-    return Heap(
-        float(tops.max() - capacity.bottom), capacity.brim - capacity.bottom, level, over, beside
-    )
+    height = float(tops.max() - capacity.bottom)
+    return Heap(height, capacity.brim - capacity.bottom, level, over, moving, beside)
 
 
 def _transform_faces(

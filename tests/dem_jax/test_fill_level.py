@@ -192,35 +192,38 @@ def test_centre_puts_the_middle_of_the_mouth_at_the_origin_and_move_moves_it_on(
 
 def test_the_heap_at_the_end_is_measured_from_poses(tmp_path):
     """Cubes on the floor of a tray: one on another, one beside the bucket, one that stands over the
-    brim.
+    brim, or flies there.
     """
     edge, floor = 0.04, 1.5e-3
     scene = own(tmp_path, {}, portion={"shape": "cuboid", "size": (edge,) * 3, "count": 4})
     scene = inline_buckets(scene).replace({"folder": "."})
     z = floor + 0.5 * edge
     at = [[0.03, 0.02, z], [-0.03, 0.0, z], [-0.03, 0.0, z + edge], [0.2, 0.0, z]]
-    heaps = []
-    for last in (at, [*at[:3], [0.03, -0.03, 0.13]]):
+
+    def find(at, speed=0.0):
+        """speed: of the last one (m/s)."""
         poses = SimpleNamespace(
             time=np.zeros(1),
-            position=np.array([last]),
+            position=np.array([at]),
             orientation=np.tile([1.0, 0, 0, 0], (1, 4, 1)),
+            velocity=np.array([[[0, 0, 0.0]] * 3 + [[0, 0, -speed]]]),
         )
-        heaps.append(
-            find_heap(SimpleNamespace(scene=scene.to_toml(), pieces=poses, run_count=None))
-        )
-    assert heaps[0].height == pytest.approx(2 * edge, abs=1e-7) and heaps[
-        0
-    ].brim_height == pytest.approx(0.1285, abs=1e-7)
+        return find_heap(SimpleNamespace(scene=scene.to_toml(), pieces=poses, run_count=None))
+
+    beside = find(at)
+    assert beside.height == pytest.approx(2 * edge, abs=1e-7)
+    assert beside.brim_height == pytest.approx(0.1285, abs=1e-7)
     # cells of 0.7 mm at edges of 40 mm
-    assert heaps[0].level == pytest.approx(3 * edge**3 / (0.137 * 0.117 * 0.1285), rel=0.05)
-    assert (heaps[0].count_above_brim, heaps[0].count_beside) == (0, 1) and (
-        heaps[1].count_above_brim,
-        heaps[1].count_beside,
-    ) == (1, 0)
-    assert "overfull: 1 piece above the brim" in str(
-        heaps[1]
-    ) and "1 piece beside the bucket" in str(heaps[0])
+    assert beside.level == pytest.approx(3 * edge**3 / (0.137 * 0.117 * 0.1285), rel=0.05)
+    assert (beside.count_above_brim, beside.count_moving, beside.count_beside) == (0, 0, 1)
+    assert "1 piece beside the bucket" in str(beside)
+    above = [*at[:3], [0.03, -0.03, 0.13]]
+    over = find(above)
+    assert (over.count_above_brim, over.count_moving, over.count_beside) == (1, 0, 0)
+    assert "overfull: 1 piece above the brim" in str(over)
+    flying = find(above, speed=1.0)
+    assert flying == beside._replace(count_moving=1, count_beside=0)
+    assert str(flying).endswith("full; 1 piece still moving")
 
 
 @pytest.mark.parametrize("name", named_buckets())
