@@ -26,6 +26,7 @@ from dem_jax.errors import PlatformError, RecordError
 from dem_jax.io import atomic_files
 from dem_jax.io.run_files import Writer, load_run
 from dem_jax.runner import programs, sinks
+from dem_jax.runner.chunk_result import ChunkResult
 from dem_jax.runner.job_setup import prepare_job
 from dem_jax.runner.progress import Progress
 from dem_jax.study import results_file as study_file
@@ -243,6 +244,11 @@ def test_the_thread_of_the_bar_has_nothing_of_the_run_and_ends_with_it(capsys):
     assert "running" in capsys.readouterr().err
 
 
+def done_chunk(first, count, settled=False):
+    """What a progress bar asks of a chunk."""
+    return ChunkResult(first, count, *[None] * 5, (), None, settled=settled)
+
+
 class Broken:
     """A stream whose reader is gone."""
 
@@ -259,7 +265,7 @@ def test_a_bar_whose_reader_is_gone_falls_silent(monkeypatch):
     with Progress(bare_job(), True) as shown:
         shown.show_compiling()
         shown.show_note("a note")
-        shown.show_chunk(SimpleNamespace(count=10, end=10, settled=False))
+        shown.show_chunk(done_chunk(0, 10))
         assert shown._bar.n == 10
 
 
@@ -267,9 +273,10 @@ def test_a_function_is_told_of_progress_instead_of_a_bar(capsys):
     told = []
     with Progress(bare_job(), lambda phase, share: told.append((phase, share))) as shown:
         shown.show_compiling()
-        shown.show_chunk(SimpleNamespace(count=4, end=4, settled=False))
-        shown.show_chunk(SimpleNamespace(count=1, end=5, settled=True))  # at rest: what is left
-        # need not be computed
+        shown.show_chunk(done_chunk(0, 4))
+        shown.show_chunk(
+            done_chunk(4, 1, settled=True)
+        )  # at rest: what is left need not be computed
     assert told == [("compiling", 0.0), ("running", 0.4), ("running", 1.0)]
     assert capsys.readouterr().err == ""
 
