@@ -124,7 +124,8 @@ def _check_weights(weights: np.ndarray, signals: Sequence[np.ndarray], tare: np.
         shown = float(np.mean(values[-max(1, len(values) // 4) :]) - tare[k])
         if not abs(weight - shown) < 0.3 * weight:
             raise BadInput(
-                f"portion {k + 1}: weight = {weight:g} g: its signal ends at {shown:.4g} g; allowed: g, in the order of signals"
+                f"portion {k + 1}: weight = {weight:g} g: its signal ends at {shown:.4g} g; "
+                "allowed: g, in the order of signals, each recorded until the scale is at rest"
             )
 
 

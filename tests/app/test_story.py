@@ -1,5 +1,6 @@
 """A person who only clicks, in a browser: own parts, a drop, 16 from 5 cm less, comparison."""
 
+import json
 import os
 import re
 import shutil
@@ -15,6 +16,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from dem_jax import ensemble
 from dem_jax.app.pages.model import DOWNLOADS
 from dem_jax.io.run_files import load_run
 from dem_jax.scene import load_scene, parse_scene
@@ -461,4 +463,29 @@ def test_a_question_is_answered_by_clicks(server, browser):
     results = load_results(found)
     assert results.study.seeds == 2 and len(results.study.parameter["drop.height"].values) == 2
     assert all(len(values) == 4 for values in results.outputs.values())
+    assert tab.said == []
+
+
+@pytest.mark.long
+def test_an_estimator_is_learnt_by_a_click(server, browser):
+    """From twelve drops on a load cell; the next reading is made with it."""
+    cell = {"mass": 0.5, "natural_frequency": 40.0}
+    changes = {"run.duration": 1.0, "portion.count": 4, "weigh_bucket.load_cell": cell}
+    scene = load_scene("quick-release").replace(changes)
+    ensemble(scene, 12, out=server[0] / "on-a-cell.h5")
+    tab = open_tab(browser, server[1])
+    step(tab, "Weigh and model")
+    tab.get_by_role("combobox", name="Result").click()
+    tab.get_by_role("option", name="on-a-cell.h5").click()
+    tab.get_by_role("button", name="Learn an estimator from these drops").click()
+    target = "weigher-on-a-cell.json"
+    command = "calibrate weigher on-a-cell.h5 --noise typical --out " + target
+    tab.locator(".command pre").get_by_text(command).wait_for()
+    assert json.loads((server[0] / target).read_text())
+    reading = tab.locator(".command pre").get_by_text(f"--weigher {target}")
+    reading.wait_for()
+    tab.get_by_role("button", name="Weigh", exact=True).click()
+    picture = tab.get_by_alt_text("Readings of the scale and their error")
+    picture.wait_for()
+    assert picture.evaluate("image => image.naturalWidth") > 300
     assert tab.said == []
