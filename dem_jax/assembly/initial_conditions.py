@@ -17,7 +17,7 @@ from dem_jax.errors import SceneError
 from dem_jax.math import quaternions
 from dem_jax.scene import Piece, Scene, placement
 from dem_jax.scene.array_namespace import as_float_array, is_traced, sqrt
-from dem_jax.shapes import Shape
+from dem_jax.shapes import Shape, box_corners
 from dem_jax.types import (
     FlapDriveMotion,
     LoadCellMotion,
@@ -66,18 +66,36 @@ def place_pieces(
         )
     own = regions[0] if low is None or high is None else (low, high)
     radius = max(m.bounding_radius for m in made)
-    boxes = [own, *regions[1:]]
-    groups = zip(numbers, boxes, strict=False)
-    placed = [
-        placement.scatter_pieces(number, radius, portion.spacing, *box, random)
-        for number, box in groups
-    ]
-    # they are ordered by product and size
-    if portion.product or portion.size_spread > 0 or portion.piece_weight_spread > 0:
-        placed = [(position[random.permutation(len(position))], turn) for position, turn in placed]
+    is_mixed = portion.product or portion.size_spread > 0 or portion.piece_weight_spread > 0
+    placed, on_grid, first = [], [], 0
+    for number, box in zip(numbers, [own, *regions[1:]], strict=False):
+        grid = number, radius, portion.spacing, *box
+        group, first = made[first : first + number], first + number
+        if portion.arrangement == "settled" and placement.is_tall_grid(*grid):
+            placed.append(_stack_pieces(group, portion.spacing, box, random))
+        else:
+            on_grid.append(len(placed))
+            placed.append(placement.scatter_pieces(*grid, random))
+    for k in on_grid if is_mixed else ():  # pieces are ordered by product and size
+        position, turn = placed[k]
+        placed[k] = position[random.permutation(len(position))], turn
     position, orientation = (np.concatenate(rows) for rows in zip(*placed, strict=True))
     rest = np.zeros_like(position)
     return InitialConditions(position, orientation, rest, rest)
+
+
+def _stack_pieces(
+    made: Sequence[Shape], spacing: float, box: Box, random: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and orientations of pieces as ``placement.stack_pieces`` has them. spacing: as of
+    the grid.
+    """
+    tries = (len(made), placement.STACK_TRIES)
+    turn = placement.draw_orientations(tries[0] * tries[1], random).reshape(*tries, 4)
+    corners = np.stack([box_corners(shape, q) for shape, q in zip(made, turn, strict=True)])
+    gap = 2 * (spacing - 1) * max(shape.bounding_radius for shape in made)
+    position, chosen = placement.stack_pieces(corners, gap, *box, random)
+    return position, turn[np.arange(len(made)), chosen]
 
 
 def read_listed_pieces(rows: Sequence[Piece]) -> InitialConditions:

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import jax
 
 from dem_jax.errors import SceneError, SimulationError
-from dem_jax.runner import failure, multihost, piece_exchange, undamped_rest
+from dem_jax.runner import failure, multihost, piece_exchange, undamped_rest, unsettled_release
 from dem_jax.runner.chunk_result import ChunkResult, apply_stop_criterion, compute_chunk
 from dem_jax.runner.executors import describe_chunk
 from dem_jax.runner.job import Job
@@ -79,6 +79,7 @@ def _list_new_notes(job: Job, span: ChunkResult, notes: list[str], shown: Progre
             news.append(f"{note} before t = {span.end * job.scene.run.sample_interval:.4g} s")
             shown.show_note(news[-1])
     for note in (
+        *unsettled_release.note_unsettled_release(job, span),
         *undamped_rest.note_undamped_rest(job, span),
         *piece_exchange.note_missing_inflow(job, span.state, span.first),
     ):

@@ -110,15 +110,22 @@ def principal_extents(shape: Shape) -> np.ndarray:
     """Extents [3] (m) along the principal axes of inertia, largest first: length, width, thickness."""
     if shape.radius > 0.0:
         return np.full(3, 2.0 * shape.radius)
-    turn = quaternion_to_matrix(shape.principal)
+    low, high = box_corners(shape, shape.principal * [1.0, -1.0, -1.0, -1.0])
+    return np.sort(high - low)[::-1]
+
+
+def box_corners(shape: Shape, orientation: np.ndarray) -> np.ndarray:
+    """Lowest and highest corner [.., 2, 3] (m) of the box about a piece, from its centre of mass, in
+    each orientation [.., 4].
+    """
+    turn = np.swapaxes(quaternion_to_matrix(orientation), -1, -2)
     points = [shape.vertices @ turn]
-    for part in shape.parts:
+    for part in list_parts(shape):
         if part.shape.radius > 0.0:
-            points += [
-                part.centre[None] @ turn + part.shape.radius,
-                part.centre[None] @ turn - part.shape.radius,
-            ]
-    return np.sort(np.ptp(np.concatenate(points), axis=0))[::-1]
+            centre, radius = part.centre[None] @ turn, part.shape.radius
+            points += [centre - radius, centre + radius]
+    rows = np.concatenate(points, axis=-2)
+    return np.stack([rows.min(axis=-2), rows.max(axis=-2)], axis=-2)
 
 
 # L of eqs 7-8 as a function of the shape (m).

@@ -249,7 +249,10 @@ class Portion(PieceShape):
         None, description="m; the box is filled from below, and exceeded upwards if it is too small"
     )
     spacing: float = Field(
-        1.02, ge=1.0, description="spacing of the grid of scattered pieces, in bounding diameters"
+        1.02,
+        ge=1.0,
+        description="spacing of the grid of scattered pieces, in bounding diameters; a grid higher than 0.6 m is left for a stack before "
+        "pieces settle",
     )
 
     @property
