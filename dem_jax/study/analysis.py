@@ -26,6 +26,7 @@ from dem_jax.visualization.metrics import Metric
 from dem_jax.visualization.variance_decomposition import split_variance
 
 MOST_DEGREE = 6  # of polynomials
+MOST_NOTES = 3  # of runs, that are shown
 FEWEST_POINTS, MANY_POINTS = 8, 128  # drawn points from which on ranks are correlated, and shares
 # of the variance computed
 STIFFNESS_WORDS = ("product", "youngs_modulus", "softening")  # in keys of parameters on which the
@@ -297,6 +298,9 @@ def list_findings(results: StudyResults) -> list[str]:
             f"{row.source}{at}: {row.output} {row.low:g} to {row.high:g} {ours.unit}; ours {format_median(ours)}: {verdict}"
         )
     lines += [*describe_unsettled_drops(results), *_describe_stiffness(results)]
+    lines += [f"note: {note}" for note in results.notes[:MOST_NOTES]]
+    if len(results.notes) > MOST_NOTES:
+        lines.append(f"{len(results.notes) - MOST_NOTES} more notes of batches are in the file")
     if lost:
         lines.append(
             f"{lost} of the drops went wrong: "

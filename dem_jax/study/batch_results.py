@@ -29,6 +29,7 @@ class BatchResults:
     time: np.ndarray | None = None  # [T] (s) of traces
     force: dict[int, np.ndarray] = field(default_factory=dict)  # member -> [T] (kg)
     compile_time: float = 0.0  # s, of all that it took
+    notes: tuple[str, ...] = ()  # of its runs
 
 
 def compute_batch(
@@ -64,6 +65,7 @@ def compute_batch(
         run.time if study.traces else None,
         dict(zip(members, traces, strict=bool(study.traces))),
         float(run.info.get("compile_time", 0.0)),
+        tuple(run.info.get("notes", ())),
     )
 
 
@@ -80,6 +82,7 @@ def enter_results(results: StudyResults, found: BatchResults) -> None:
         results.extend_time(found.time)
         results.force |= found.force
         results.state[list(found.members)] = DONE
+        results.add_notes(found.notes)
         enter_failed(results, found.failed)
 
 

@@ -5,6 +5,7 @@ twice.
 import io
 import json
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ class StudyResults:
     shard: str | None = None  # K/N, of a file that a shard began
     computed_by: list[dict[str, str]] = field(default_factory=list)  # versions and machines that
     # computed any of it
+    notes: list[str] = field(default_factory=list)  # of runs, each once
 
     @classmethod
     def create_empty(cls, study: Study) -> "StudyResults":
@@ -49,6 +51,10 @@ class StudyResults:
         """Take the times of other traces if these are longer."""
         times = [each for each in (self.time, time) if each is not None]
         self.time = max(times, key=lambda t: (len(t), float(t[-1])), default=None)
+
+    def add_notes(self, notes: Iterable[str]) -> None:
+        """Take notes of runs, whatever the order in which they come."""
+        self.notes = sorted({*self.notes, *notes})
 
     def group_by_point(self, values: np.ndarray) -> np.ndarray:
         """Values [M] of drops as [points, seeds]."""
@@ -76,6 +82,7 @@ def _write_results(file: Any, results: StudyResults) -> None:
     file.attrs["study"] = results.study.to_toml()
     file.attrs["why"] = json.dumps({str(k): said for k, said in results.failure_reasons.items()})
     file.attrs["elapsed"] = results.elapsed
+    file.attrs["notes"] = json.dumps(results.notes)
     file.attrs["computed_by"] = json.dumps(results.computed_by)
     if results.shard is not None:
         file.attrs["shard"] = results.shard
@@ -129,7 +136,8 @@ def _read_results(file: Any) -> StudyResults:
         {str(key): str(value) for key, value in row.items()}
         for row in json.loads(file.attrs.get("computed_by", "[]"))
     ]
-    return StudyResults(study, state, outputs, why, time, force, elapsed, shard, computed_by)
+    notes = [str(note) for note in json.loads(file.attrs.get("notes", "[]"))]
+    return StudyResults(study, state, outputs, why, time, force, elapsed, shard, computed_by, notes)
 
 
 def is_same_study(a: Study, b: Study) -> bool:

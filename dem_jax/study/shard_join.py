@@ -95,6 +95,7 @@ def _enter_part(whole: StudyResults, part: StudyResults) -> None:
         whole.outputs[name][new] = values[new]
     whole.state[new] = part.state[new]
     whole.failure_reasons |= part.failure_reasons
+    whole.add_notes(part.notes)
     whole.force |= part.force
     whole.extend_time(part.time)
     whole.elapsed += part.elapsed

@@ -343,6 +343,22 @@ def test_numbers_of_pieces_are_those_of_table_2_and_need_no_drop(monkeypatch):
     )
 
 
+def test_notes_of_runs_are_those_of_the_study(tmp_path):
+    """Balls that are released while they still fall, in one batch for each diameter."""
+    changes = BALL["set"] | {
+        "portion.arrangement": "settled", "portion.settling_time": 0.03, "run.duration": 0.01,
+        "portion.region_high": [0.05, 0.05, 0.3], "portion.region_low": [-0.05, -0.05, 0.2],
+    }  # fmt: skip
+    table = ball(set=changes, parameter={"portion.count": {"values": [1, 2]}}, seeds=2)
+    found = study_runner.run_study(table, tmp_path / "s.h5")
+    assert found.notes and all("do not rest in the feed bucket yet" in n for n in found.notes)
+    assert results_file.load_results(tmp_path / "s.h5").notes == found.notes
+    said = analysis.describe_results(found)
+    assert [line for line in said if line.startswith("note: ")] == [
+        f"note: {n}" for n in found.notes
+    ]
+
+
 @pytest.mark.parametrize("longest, until_settled", [(0.1, False), (0.6, True)])
 def test_a_heap_is_the_same_whatever_it_is_released_into(longest, until_settled):
     """Balls that settle at restitution 0.1 and start from there with all others; also if they are
