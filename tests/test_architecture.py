@@ -34,7 +34,7 @@ MAY_IMPORT = {  # package -> packages below it
     "types": set(),
     "math": set(),
     "shapes": {"errors", "math"},
-    "scene": {"errors", "deprecation"},
+    "scene": {"errors", "deprecation", "math"},
     "walls": BASE | {"scene"},
     "contact_laws": BASE,
     "narrow_phase": BASE | {"walls"},

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dem_jax.math.loops import area_vector
 from dem_jax.shapes import Shape, surface_mesh
 
 PIXELS_PER_MM = 1.9
@@ -70,9 +71,7 @@ def _draw_faces(seen: np.ndarray, faces: Sequence[Sequence[int]]) -> str:
     drawn = []
     for face in faces:
         corners = seen[list(face)]
-        normal = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(
-            axis=0
-        )
+        normal = area_vector(corners)
         length = float(np.linalg.norm(normal))
         if length <= 0.0 or normal[2] <= 0.0:
             continue

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dem_jax.shapes import loop_normal, wall_meshes
+from dem_jax.math.loops import cross_product, loop_normal, next_corners
+from dem_jax.shapes import wall_meshes
 
 FLAT_BEND = 2e-6  # (rad) panels that meet at a smaller angle are one plane within rounding
 OPEN_BEND = 0.01  # (rad) angle from which on a convex seam is as much an edge of the surface as the
@@ -91,7 +92,7 @@ def find_surfaces(
     if not any(map(any, beyond)):
         return None
     sines = [
-        np.linalg.norm(np.cross(normals[i], normals[j]))
+        np.linalg.norm(cross_product(normals[i], normals[j]))
         for i, edges in enumerate(beyond)
         for e in edges
         for j in e
@@ -144,7 +145,7 @@ def _are_coplanar(panels: Sequence[Group], normals: np.ndarray, first: int, seco
 
 def _outward_directions(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Outward unit directions [k, 3] across the edges of a panel [k, 3] (m)."""
-    out = np.cross(np.roll(corners, -1, axis=0) - corners, normal)
+    out = cross_product(next_corners(corners) - corners, normal)
     return out / np.linalg.norm(out, axis=1, keepdims=True)
 
 
@@ -181,7 +182,7 @@ def _edge_bend(
 def _bend_angle(corners: Sequence[np.ndarray], normals: np.ndarray, i: int, j: int) -> float:
     """Angle (rad) by which panel j falls away from panel i; negative where it rises."""
     height = (corners[j] - corners[i][0]) @ normals[i]
-    sine = float(np.linalg.norm(np.cross(normals[i], normals[j])))
+    sine = float(np.linalg.norm(cross_product(normals[i], normals[j])))
     return float(np.arcsin(min(sine, 1.0))) * (1.0 if -height.min() > height.max() else -1.0)
 
 

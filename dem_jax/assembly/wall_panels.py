@@ -18,6 +18,7 @@ from dem_jax.assembly.load_cell_setup import build_load_cell_model
 from dem_jax.assembly.panel_surfaces import PanelSeams, count_surfaces, find_surfaces
 from dem_jax.assembly.stl_unit_check import check_stl_unit
 from dem_jax.errors import SceneError
+from dem_jax.math.loops import cross_product, loop_normal
 from dem_jax.scene import Bucket, Feeder, Motion, Region, Scene, Wall, bucket_geometry
 from dem_jax.scene.bucket_geometry import Panel
 from dem_jax.scene.cycle_timing import apply_cycle
@@ -360,13 +361,14 @@ def _build_cached_panel(
 ) -> tuple[Shape, np.ndarray, np.ndarray]:
     """``_build_panel``, cached for all runs of an ensemble; the arrays must not be modified."""
     corners = np.array(rows)
-    wall_meshes.build_plate(corners, thickness, name)  # raises errors about the corners as given
-    plate = wall_meshes.build_plate(wall_meshes.drop_collinear_corners(corners), thickness, name)
-    x = corners[1] - corners[0]
-    z = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(0)
-    z /= np.linalg.norm(z)
+    plate = wall_meshes.build_plate(corners, thickness, name)  # raises errors about the corners as
+    # given
+    left = wall_meshes.drop_collinear_corners(corners)
+    if len(left) < len(corners):
+        plate = wall_meshes.build_plate(left, thickness, name)
+    x, z = corners[1] - corners[0], loop_normal(corners)
     x = (x - (x @ z) * z) / np.linalg.norm(x - (x @ z) * z)
-    turn = np.stack([x, np.cross(z, x), z], axis=1)  # panel frame -> scene
+    turn = np.stack([x, cross_product(z, x), z], axis=1)  # panel frame -> scene
     local = plate.vertices @ turn
     shape = shapes.make_polytope(name, local, plate.faces)
     centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # centre of mass, the origin that

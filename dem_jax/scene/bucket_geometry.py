@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dem_jax.math.loops import loop_area, loop_normal
 from dem_jax.scene.array_namespace import is_zero
 from dem_jax.scene.sections.bucket import Bucket, Feeder
 from dem_jax.scene.sections.wall import Motion, Region
@@ -146,7 +147,7 @@ def _find_free_width(panels: list[np.ndarray], floor: float) -> tuple[np.ndarray
     low, high = points.min(axis=0)[:2], points.max(axis=0)[:2]
     middle = 0.5 * (low + high)
     for panel in panels:
-        normal = _panel_normal(panel)
+        normal = loop_normal(panel)
         if panel[:, 2].max() <= floor:
             continue
         for axis in (0, 1):
@@ -159,7 +160,7 @@ def _find_free_width(panels: list[np.ndarray], floor: float) -> tuple[np.ndarray
 
 def is_floor(panel: np.ndarray) -> bool:
     """Whether a panel of corners [k, 3] is a floor."""
-    return bool(_panel_normal(panel)[2] > 0.5)
+    return bool(loop_normal(panel)[2] > 0.5)
 
 
 def select_floor_panels(panels: list[np.ndarray]) -> list[np.ndarray]:
@@ -177,19 +178,7 @@ def select_floor_panels(panels: list[np.ndarray]) -> list[np.ndarray]:
 
 def _panel_width(panel: np.ndarray) -> float:
     """Of corners [k, 3], about (m): area over length."""
-    area = (
-        np.linalg.norm(
-            np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)
-        )
-        / 2.0
-    )
-    return float(area / np.linalg.norm(np.ptp(panel, axis=0)))
-
-
-def _panel_normal(panel: np.ndarray) -> np.ndarray:
-    """Of corners [k, 3], unit."""
-    normal = np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)
-    return normal / np.linalg.norm(normal)
+    return loop_area(panel) / float(np.linalg.norm(np.ptp(panel, axis=0)))
 
 
 def _orient_upwards(corners: np.ndarray) -> np.ndarray:

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dem_jax.math.loops import area_vector
+
 GRID_CELLS = 200  # of the grid along the longer side of a bucket
 SLIT_WIDTH = 0.004  # m: slits no wider than this, as between two flaps, hold pieces
 PACKING_FRACTION = 0.6  # volume of pieces over that of a heap of them: an assumption, loose heaps
@@ -129,7 +131,7 @@ def _raise_floor(floor: np.ndarray, grid: HeightMap, panel: np.ndarray) -> None:
     flat = (panel[:, :2] - grid.origin) / grid.cell - 0.5  # in which the middle of cell i is at i
     first = np.maximum(np.ceil(flat.min(axis=0)).astype(int), 0)
     last = np.minimum(np.floor(flat.max(axis=0)).astype(int), np.array(floor.shape) - 1)
-    normal = np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)
+    normal = area_vector(panel)
     if (last < first).any() or abs(normal[2]) <= 1e-9 * np.linalg.norm(normal):
         return
     x, y = np.meshgrid(

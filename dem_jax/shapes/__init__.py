@@ -23,7 +23,7 @@ from dem_jax.shapes.nearly_convex import (
     read_hull_shape,
     replace_mass,
 )
-from dem_jax.shapes.polytope import list_edges, loop_normal, make_polytope
+from dem_jax.shapes.polytope import list_edges, make_polytope
 from dem_jax.shapes.primitives import chamfered_cuboid, cuboid, cylinder, prism, sphere
 from dem_jax.shapes.shape import (
     SIZE_LENGTHS,
@@ -71,7 +71,6 @@ __all__ = [
     "convex_hull",
     "read_hull_shape",
     "load_stl",
-    "loop_normal",
     "integrate_polyhedron",
     "list_parts",
     "hull_and_centre",

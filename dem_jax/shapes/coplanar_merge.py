@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dem_jax.math.loops import area_vector, cross_product, next_corners
 from dem_jax.shapes.mass import Loop
 
 
@@ -102,17 +103,18 @@ def corner_bulge(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Distance [k] (m) by which each corner of a loop [k, 3] is outside the line between its
     neighbours; negative if reflex.
     """
-    before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
+    before = corners - np.roll(corners, 1, axis=0)
+    after = next_corners(corners) - corners
     chord = np.linalg.norm(before + after, axis=1)
-    return np.cross(before, after) @ normal / np.maximum(chord, 1e-300)
+    return cross_product(before, after) @ normal / np.maximum(chord, 1e-300)
 
 
 def _is_flat_and_convex(corners: np.ndarray, off_plane: float, reflex: float) -> bool:
-    arms = corners - corners[0]
-    area = np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)
+    area = area_vector(corners)
     normal = area / max(float(np.linalg.norm(area)), 1e-300)
     return bool(
-        np.ptp(arms @ normal) <= off_plane and corner_bulge(corners, normal).min() >= -reflex
+        np.ptp((corners - corners[0]) @ normal) <= off_plane
+        and corner_bulge(corners, normal).min() >= -reflex
     )
 
 

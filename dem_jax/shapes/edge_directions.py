@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from dem_jax.math.loops import cross_product
+
 
 def find_edge_directions(vectors: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions [D, 3] of edges [E, 3] (m) and the index [E] of each edge's.
@@ -20,7 +22,7 @@ def find_edge_directions(vectors: np.ndarray, tolerance: float) -> tuple[np.ndar
     while len(left):  # once for each direction of the group that has most
         _, firsts, group = np.unique(near[left], return_index=True, return_inverse=True)
         seeds = left[firsts[group]]
-        same = np.linalg.norm(np.cross(vectors[left], units[seeds]), axis=1) < tolerance
+        same = np.linalg.norm(cross_product(vectors[left], units[seeds]), axis=1) < tolerance
         same[firsts] = True
         seed_of[left[same]] = seeds[same]
         left = left[~same]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dem_jax.math.loops import loop_area
 from dem_jax.shapes.shape import ConvexPart
 from dem_jax.shapes.union_mass import face_planes
 
@@ -100,7 +101,7 @@ def _is_covered(
         if (loop @ normals.T > limits).all(axis=0).any():
             continue
         left = [piece for polygon in left for piece in _subtract_polytope(polygon, normals, limits)]
-        if sum(_polygon_area(polygon) for polygon in left) <= near * perimeter:
+        if sum(loop_area(polygon) for polygon in left) <= near * perimeter:
             return True
     return False
 
@@ -119,11 +120,6 @@ def _subtract_polytope(
         if len(polygon) < 3:
             break
     return pieces
-
-
-def _polygon_area(polygon: np.ndarray) -> float:
-    arms = polygon - polygon[0]
-    return float(0.5 * np.linalg.norm(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)))
 
 
 # --- parts that continue each other ---

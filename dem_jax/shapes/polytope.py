@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.errors import SceneError
+from dem_jax.math.loops import area_vector
 from dem_jax.shapes.coplanar_merge import find_closed_sides
 from dem_jax.shapes.edge_directions import find_edge_directions
 from dem_jax.shapes.mass import Loop, integrate_polyhedron, principal_frame
 from dem_jax.shapes.shape import TOLERANCE, Shape
 
+FEW_POINTS = 32  # up to which all pairs are quicker than a tree
 MOST_AT_ONCE = 10_000_000  # products of points and normals held in memory
 
 
@@ -46,15 +48,6 @@ def make_polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Sha
     )
 
 
-def loop_normal(loop: np.ndarray) -> np.ndarray:
-    """Unit normal [3] of a planar loop [k, 3] by the right-hand rule (Newell's sum about the first
-    corner).
-    """
-    arms = loop - loop[0]
-    area = np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)
-    return area / np.linalg.norm(area)
-
-
 def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
     """Unit normals [F, 3] of planar loops of vertices [V, 3], each as ``loop_normal`` gives it to
     the last bit.
@@ -63,9 +56,7 @@ def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
     counts = np.array([len(loop) for loop in faces])
     for count in np.unique(counts):
         alike = np.flatnonzero(counts == count)
-        loops = vertices[np.array([faces[k] for k in alike.tolist()])]  # [faces, count, 3]
-        arms = loops - loops[:, :1]
-        areas[alike] = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
+        areas[alike] = area_vector(vertices[np.array([faces[k] for k in alike.tolist()])])
     return areas / np.array([np.linalg.norm(area) for area in areas])[:, None]
 
 
@@ -110,9 +101,12 @@ def _zonotope_generators(
 
 def _is_symmetric(points: np.ndarray, tolerance: float) -> bool:
     """Whether each point has its mirror image through the mean of all."""
-    from scipy.spatial import cKDTree
-
     if len(points) % 2:
         return False
     arms = points - points.mean(axis=0)
+    if len(points) <= FEW_POINTS:
+        apart = np.square(arms[:, None] + arms).sum(axis=-1).min(axis=1)
+        return bool((np.sqrt(apart) <= tolerance).all())
+    from scipy.spatial import cKDTree
+
     return bool((cKDTree(-arms).query(arms)[0] <= tolerance).all())

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dem_jax.errors import SceneError
+from dem_jax.math.loops import cross_product, loop_area, loop_normal, next_corners
 from dem_jax.shapes.checks import require_length
 from dem_jax.shapes.closed_bodies import find_bodies, measure_thickness
 from dem_jax.shapes.coplanar_merge import corner_bulge
-from dem_jax.shapes.polytope import loop_normal
+from dem_jax.shapes.polytope import loop_normals
 from dem_jax.shapes.shape import TOLERANCE
 from dem_jax.shapes.stl import load_stl
 
@@ -66,7 +67,7 @@ def build_plate(polygon: Any, thickness: float, name: str = "panel") -> Plate:
     ring = [(i, (i + 1) % k) for i in range(k)]
     sides = tuple((i, k + i, k + j, j) for i, j in ring)
     faces = (tuple(range(k)), tuple(range(2 * k - 1, k - 1, -1)), *sides)
-    normals = np.stack([loop_normal(vertices[list(loop)]) for loop in faces])
+    normals = loop_normals(vertices, faces)
     edges = np.array(ring + [(k + i, k + j) for i, j in ring] + [(i, k + i) for i in range(k)])
     return Plate(vertices, faces, normals, (vertices @ normals.T).max(axis=0), edges)
 
@@ -95,7 +96,7 @@ class WallMesh(NamedTuple):
 
     def __str__(self) -> str:
         points = np.concatenate(self.panels)
-        area = sum(_polygon_area(panel) for panel in self.panels)
+        area = sum(loop_area(panel) for panel in self.panels)
         nm = 1e-9  # of which less is rounding
         sides = zip(
             "xyz",
@@ -187,7 +188,7 @@ def _check_complete(
     than rounding.
     """
     facets = float(mesh.area_faces[group].sum())
-    lost = facets - sum(_polygon_area(panel) for panel in panels)
+    lost = facets - sum(loop_area(panel) for panel in panels)
     extent = float(np.linalg.norm(np.ptp(mesh.triangles[group].reshape(-1, 3), axis=0)))
     if abs(lost) > LOST_AREA * facets and facets > SLIVER_AREA * extent**2:
         low, high = (np.asarray(bound).tolist() for bound in mesh.bounds)
@@ -195,12 +196,6 @@ def _check_complete(
             f"stl = {str(path)!r}: facets of {facets:.4g} m2 about {np.round(mesh.triangles[group[0]].mean(axis=0), 6).tolist()} m "
             f"make panels of {facets - lost:.4g} m2, as the mesh goes from {low} to {high} m; allowed: no corner that is far off"
         )
-
-
-def _polygon_area(polygon: np.ndarray) -> float:
-    """Area (m2) of a planar polygon [k, 3] (m)."""
-    arms = polygon - polygon[0]
-    return float(np.linalg.norm(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)) / 2.0)
 
 
 def find_seams(panels: Sequence[np.ndarray], tolerance: float | None = None) -> list[list[bool]]:
@@ -254,7 +249,8 @@ def find_neighbours(
 
 def _edge_ends(panel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Starts and ends [k, 3] of a panel's edges."""
-    return np.asarray(panel, np.float64), np.roll(np.asarray(panel, np.float64), -1, axis=0)
+    corners = np.asarray(panel, np.float64)
+    return corners, next_corners(corners)
 
 
 def _is_shared_edge(
@@ -266,7 +262,7 @@ def _is_shared_edge(
     length = np.linalg.norm(end - start)
     along = (end - start) / length
     distance = [
-        np.linalg.norm(np.cross(points - start, along), axis=1) for points in (starts, ends)
+        np.linalg.norm(cross_product(points - start, along), axis=1) for points in (starts, ends)
     ]
     head, tail = (ends - start) @ along, (starts - start) @ along
     shared = np.minimum(tail, length) - np.maximum(head, 0.0)
@@ -380,9 +376,9 @@ def _is_convex(corners: np.ndarray, normal: np.ndarray, tolerance: float) -> boo
 
 def _winding_number(corners: np.ndarray, normal: np.ndarray) -> int:
     """Winding number of a loop [k, 3] about its normal: 1 for a simple outline."""
-    after = np.roll(corners, -1, axis=0) - corners
-    before = np.roll(after, 1, axis=0)
-    turn = np.arctan2(np.cross(before, after) @ normal, (before * after).sum(axis=1))
+    before = next_corners(corners) - corners
+    after = next_corners(before)
+    turn = np.arctan2(cross_product(before, after) @ normal, (before * after).sum(axis=1))
     return round(float(turn.sum() / (2.0 * np.pi)))
 
 
@@ -418,7 +414,7 @@ def _require_polygon(polygon: Any, name: str) -> np.ndarray:
             f"{name} corner {int(np.argmin(np.isfinite(corners).all(axis=1)))} must be finite (m)"
         )
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    sides = np.linalg.norm(next_corners(corners) - corners, axis=1)
     if sides.min() <= TOLERANCE * size:
         i = int(np.argmin(sides))
         raise SceneError(
@@ -429,7 +425,7 @@ def _require_polygon(polygon: Any, name: str) -> np.ndarray:
 
 
 def _check_polygon_form(corners: np.ndarray, size: float, name: str) -> None:
-    area = _polygon_area(corners)
+    area = loop_area(corners)
     if area <= TOLERANCE * size**2:
         raise SceneError(
             f"{name} has no area ({area:.3g} m2): its corners must not lie on one line or cancel out"

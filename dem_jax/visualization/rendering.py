@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 
 from dem_jax.errors import RecordError
 from dem_jax.io.run_data import Frames
+from dem_jax.math.loops import loop_normal
 from dem_jax.math.pose import quaternion_to_matrix
-from dem_jax.shapes import ConvexPart, Shape, convex_surface_mesh, list_parts, loop_normal
+from dem_jax.shapes import ConvexPart, Shape, convex_surface_mesh, list_parts
 from dem_jax.visualization import animation, scene_geometry
 from dem_jax.visualization.run_figure import check_format, save_figure
 from dem_jax.visualization.scene_geometry import WallPose
