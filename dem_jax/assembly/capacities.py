@@ -11,9 +11,17 @@ from dem_jax.broad_phase import candidate_search, neighbour_list, overflow_recov
 from dem_jax.shapes import Shape
 from dem_jax.types import Partition, Parts
 
+SLENDER = 2.5  # bounding radius over that of the sphere of equal volume, from which on a piece is
+# slender: it is near many others, as fries (3.2) and pretzel sticks (4.5) are
+
 
 def estimate_capacities(
-    polytopes: int, spheres: int, panels: int, is_general: bool = False, of_parts: bool = False
+    polytopes: int,
+    spheres: int,
+    panels: int,
+    is_general: bool = False,
+    of_parts: bool = False,
+    is_slender: bool = False,
 ) -> tuple[tuple[str, int, int], ...]:
     """Kinds of contact that the scene can have, with initial numbers of candidates and slots.
 
@@ -26,10 +34,12 @@ def estimate_capacities(
         is_general: whether polytopes have any form; these have more neighbours than boxes.
         of_parts: whether pieces have several parts, which lie close together and may be thin; they
             need most slots when they land.
+        is_slender: whether any piece is, see ``is_slender``.
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
     hulls = (12 * p, max(4 * p, 5 * p - 32)) if is_general else (9 * p, 3 * p + 5)
+    hulls = (36 * p, 24 * p) if is_slender else hulls
     hulls = (40 * p, 12 * p) if of_parts else hulls
     few = min(p, s)
     wanted = {
@@ -50,9 +60,18 @@ def estimate_capacities(
     return tuple(out)
 
 
-def estimate_contacts_per_piece(parts: Parts, panels: int, is_general: bool) -> int:
+def is_slender(made: Sequence[Shape]) -> bool:
+    """Whether any of some pieces is slender, see ``SLENDER``."""
+    return any(
+        shape.bounding_radius**3 > SLENDER**3 * shape.volume / (4 / 3 * math.pi) for shape in made
+    )
+
+
+def estimate_contacts_per_piece(
+    parts: Parts, panels: int, is_general: bool, is_slender: bool = False
+) -> int:
     """Initial capacity for the contacts of one piece."""
-    usual = 20 if is_general else 12
+    usual = 64 if is_slender else 20 if is_general else 12
     if parts.owner is not None:
         usual = 24 * int(np.max(np.bincount(np.asarray(parts.owner))))
     return min(usual, overflow_recovery.max_contacts_per_piece(parts, panels))

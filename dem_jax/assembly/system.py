@@ -18,6 +18,7 @@ from dem_jax.assembly.capacities import (
     estimate_contacts_per_piece,
     estimate_partition,
     estimate_row_capacity,
+    is_slender,
 )
 from dem_jax.assembly.contact_law import extend_to_class
 from dem_jax.assembly.dtype_cast import cast_array, cast_tree, put_array, reuse_array
@@ -188,7 +189,7 @@ def assemble_system(
         of_class = extend_to_class(scene, law, arrays.materials, has_hulls)
         arrays = replace(arrays, law=of_class[0], materials=of_class[1])
     is_general = hulls is not None and hulls.features is not None
-    kept = partial(reuse_array, reuse)
+    kept, slender = partial(reuse_array, reuse), is_slender(made)
     system = System(
         parts=parts,
         hulls=hulls,
@@ -206,8 +207,9 @@ def assemble_system(
             len(panels),
             is_general,
             parts.owner is not None,
+            slender,
         ),
-        touching=estimate_contacts_per_piece(parts, len(panels), is_general),
+        touching=estimate_contacts_per_piece(parts, len(panels), is_general, slender),
         neighbours=scene.run.broad_phase,
         row_capacity=estimate_row_capacity(convex, scene.run.broad_phase),
         partition=estimate_partition(convex, scene.run.broad_phase, domain),

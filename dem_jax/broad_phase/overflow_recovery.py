@@ -18,6 +18,7 @@ from dem_jax.math.compaction import EMPTY
 from dem_jax.types import Array, ContactTable, OverflowReport, Partition, Parts, State, System
 
 HEAD_ROOM = 1.25  # times the required capacity, so that the next chunk does not exceed it again
+FREE_HEAD_ROOM = 2.0  # the same where free slots cost nothing
 UNLIMITED_SKIN = 1e3  # m
 LARGEST_RAISE = 4.0  # largest growth factor of the skin: an invalid state may report any travel
 
@@ -123,33 +124,34 @@ def runs_within_capacity(system: System, guard: OverflowReport) -> np.ndarray:
 def grow_capacity(system: System, state: State, guard: OverflowReport) -> tuple[System, State]:
     """The system with the capacities that a chunk needed, and the initial state of the chunk
     adapted to it.
+
+    Each growth compiles anew, and a heap that forms needs ever more: where free slots cost nothing,
+    all that is more than half full grows with what is exceeded.
     """
-    rows = []
     parts, panels = system.parts.count, system.walls.group.shape[0]
     polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
+    rows: list[Room] = []  # candidates and slots of each kind, then those below
     for kind, candidates, slots in system.capacity:
         near, touching = map(int, _max_over_runs(guard.needed[kind]))
         every = candidate_search.pair_count(kind, polytopes, spheres, panels)
         if near > candidates:  # assume the same share of touching pairs among those beyond the
             # capacity
             touching = -(-touching * near // candidates)
-        rows.append(
-            (kind, _grow_to_fit(candidates, near, every), _grow_to_fit(slots, touching, every))
-        )
-    most = int(np.max(guard.touching))
-    touching = system.touching
-    if most > touching:
-        touching = min(
-            max_contacts_per_piece(system.parts, panels),
-            max(most + 2, int(np.ceil(HEAD_ROOM * most))),
-        )
-    row = _grow_to_fit(system.row_capacity, int(np.max(guard.row)), parts)
+        is_free = kind == "hulls"  # of spheres few slots are not tiled (``contacts.tiling``)
+        rows += [Room(candidates, near, every, is_free), Room(slots, touching, every, is_free)]
+    most = max_contacts_per_piece(system.parts, panels)
+    rows.append(Room(system.touching, int(np.max(guard.touching)), most, True, of_piece=True))
+    rows.append(Room(system.row_capacity, int(np.max(guard.row)), parts, False))
+    ahead = bool(system.slot_block) and any(room.needed > room.have for room in rows)
+    grown = [room.grow_ahead() if ahead and room.is_free else room.grow() for room in rows]
     travel = np.max(guard.travel)
     if travel > system.skin:
         raised = min(HEAD_ROOM * travel, LARGEST_RAISE * float(system.skin))
         system = system.replace(skin=jnp.asarray(raised, system.skin.dtype))
     system = system.replace(partition=_grow_partition(system.partition, guard, parts))
-    return with_capacity(system, state, tuple(rows), touching, row)
+    kinds = [kind for kind, *_ in system.capacity]
+    capacity = tuple(zip(kinds, grown[0:-2:2], grown[1:-2:2], strict=True))
+    return with_capacity(system, state, capacity, *grown[-2:])
 
 
 def max_contacts_per_piece(parts: Parts, panels: int) -> int:
@@ -170,10 +172,9 @@ def _grow_partition(
     reach = partition.reach
     if np.max(guard.reach) > reach:
         reach = min(HEAD_ROOM * float(np.max(guard.reach)), LARGEST_RAISE * reach)
-    room = _grow_to_fit(partition.pairs, listed, parts * (parts - 1) // 2)
-    return partition._replace(
-        pairs=room, cell=_grow_to_fit(partition.cell, filling, parts), reach=reach
-    )
+    pairs = Room(partition.pairs, listed, parts * (parts - 1) // 2).grow()
+    cell = Room(partition.cell, filling, parts).grow()
+    return partition._replace(pairs=pairs, cell=cell, reach=reach)
 
 
 def with_capacity(
@@ -212,10 +213,29 @@ def _max_over_runs(needed: Array) -> tuple[Array, Array]:
     return near, touching
 
 
-def _grow_to_fit(have: int, needed: int, every: int) -> int:
-    if needed <= have:
-        return have
-    return round_capacity(min(every, int(np.ceil(HEAD_ROOM * needed))))
+class Room(NamedTuple):
+    """A capacity that a program is compiled for."""
+
+    have: int
+    needed: int
+    every: int  # more are never needed
+    is_free: bool = False  # what is not filled costs nothing, if slots are tiled
+    of_piece: bool = False  # contacts of one piece: a few more, whatever their number
+
+    def grow(self, factor: float = HEAD_ROOM) -> int:
+        """The capacity if it suffices, else a larger one."""
+        if self.needed <= self.have:
+            return self.have
+        wanted = int(np.ceil(factor * self.needed))
+        if self.of_piece:
+            return min(self.every, max(self.needed + 2, wanted))
+        return round_capacity(min(self.every, wanted))
+
+    def grow_ahead(self) -> int:
+        """A larger capacity if more than half of it is needed."""
+        if FREE_HEAD_ROOM * self.needed <= self.have:
+            return self.have
+        return max(self.have, self._replace(have=0).grow(FREE_HEAD_ROOM))
 
 
 def _widen_table(table: ContactTable, slots: int) -> ContactTable:

@@ -279,6 +279,9 @@ def crowd(**changes):
     return balls([0.011, 0.0315, 0.052], **{"run.duration": 0.02} | changes)
 
 
+HEAP_OF = {"portion.shape": "cuboid", "portion.size": (0.02, 0.02, 0.02), "portion.count": 40}
+
+
 def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypatch):
     """Slots only change the order of sums over walls: 1e-12 of the largest value leaves room for
     rounding.
@@ -294,6 +297,49 @@ def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypat
         "what was handled is nothing to worry a person with"
     )
     assert_same(ample, grown, exactly=False, tolerance=1e-12)
+
+
+def test_capacities_grow_together_where_free_slots_cost_nothing():
+    """A heap that forms needs ever more of each: one compilation for all, not one for each."""
+    Room = overflow_recovery.Room
+    assert Room(448, 448, 10**6).grow() == 448
+    assert Room(448, 449, 10**6).grow() == 576, "1.25 of the need, from few distinct values"
+    assert Room(448, 449, 300).grow() == 320, "never more than all pairs"
+    assert Room(12, 13, 100, of_piece=True).grow() == 17
+    assert Room(448, 224, 10**6).grow_ahead() == 448, "half full"
+    assert Room(448, 225, 10**6).grow_ahead() == 480, "twice the need"
+    assert Room(12, 13, 100, of_piece=True).grow_ahead() == 26
+    assert Room(12, 6, 100, of_piece=True).grow_ahead() == 12
+    assert Room(448, 300, 320).grow_ahead() == 448, "no capacity shrinks"
+    job = prepare_job(dem_jax.load_scene("quick-release").replace(HEAP_OF), (0,), None)
+    system, state = job.system, job.state
+    ((_, candidates, slots),) = system.capacity
+    guard = jax.device_get(state.guard)
+    some = np.array([candidates // 2 + 1, slots // 2], np.int32).reshape(
+        guard.needed["hulls"].shape
+    )
+    report = guard.replace(needed={"hulls": some})
+    ((_, near, filled),) = overflow_recovery.grow_capacity(system, state, report)[0].capacity
+    assert (near, filled) == (candidates, slots), "nothing is exceeded"
+    report = report.replace(touching=np.full_like(guard.touching, system.touching + 1))
+    larger, _ = overflow_recovery.grow_capacity(system, state, report)
+    ((_, near, filled),) = larger.capacity
+    assert near > candidates and filled == slots and larger.touching == 2 * (system.touching + 1)
+
+
+def test_slender_pieces_have_room_for_the_contacts_of_their_heaps():
+    """40 fries, and as many cubes of their volume: a heap of them has several times the contacts."""
+    fries, cubes = (
+        prepare_job(
+            dem_jax.load_scene("quick-release").replace(HEAP_OF | {"portion.size": size}),
+            (0,),
+            None,
+        )
+        for size in ((0.07, 0.008, 0.008), (0.0165, 0.0165, 0.0165))
+    )
+    for a, b in zip(fries.system.capacity[0][1:], cubes.system.capacity[0][1:], strict=True):
+        assert a > 1.5 * b
+    assert fries.system.touching > 2 * cubes.system.touching
 
 
 def test_a_piece_with_more_contacts_than_foreseen_is_given_room():
