@@ -67,15 +67,17 @@ def place_pieces(
     own = regions[0] if low is None or high is None else (low, high)
     radius = max(m.bounding_radius for m in made)
     is_mixed = portion.product or portion.size_spread > 0 or portion.piece_weight_spread > 0
-    placed, on_grid, first = [], [], 0
+    placed: list[tuple[np.ndarray, np.ndarray]] = []
+    on_grid, first = [], 0
     for number, box in zip(numbers, [own, *regions[1:]], strict=False):
-        grid = number, radius, portion.spacing, *box
         group, first = made[first : first + number], first + number
-        if portion.arrangement == "settled" and placement.is_tall_grid(*grid):
-            placed.append(_stack_pieces(group, portion.spacing, box, random))
-        else:
+        stack = None
+        if portion.arrangement == "settled":
+            stack = _stack_pieces(group, radius, portion.spacing, box, random)
+        if stack is None:
             on_grid.append(len(placed))
-            placed.append(placement.scatter_pieces(*grid, random))
+            stack = placement.scatter_pieces(number, radius, portion.spacing, *box, random)
+        placed.append(stack)
     for k in on_grid if is_mixed else ():  # pieces are ordered by product and size
         position, turn = placed[k]
         placed[k] = position[random.permutation(len(position))], turn
@@ -85,16 +87,21 @@ def place_pieces(
 
 
 def _stack_pieces(
-    made: Sequence[Shape], spacing: float, box: Box, random: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and orientations of pieces as ``placement.stack_pieces`` has them. spacing: as of
-    the grid.
+    made: Sequence[Shape], radius: float, spacing: float, box: Box, random: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Positions and orientations of pieces as ``placement.stack_pieces`` has them; None where a grid
+    is low enough, or lower than the stack, as of balls. radius, spacing: of the grid.
     """
+    height = placement.find_grid_height(len(made), radius, spacing, *box)
+    if height <= placement.TALLEST_GRID or len(made) > placement.MOST_STACKED:
+        return None
     tries = (len(made), placement.STACK_TRIES)
     turn = placement.draw_orientations(tries[0] * tries[1], random).reshape(*tries, 4)
     corners = np.stack([box_corners(shape, q) for shape, q in zip(made, turn, strict=True)])
-    gap = 2 * (spacing - 1) * max(shape.bounding_radius for shape in made)
+    gap = 2 * (spacing - 1) * radius
     position, chosen = placement.stack_pieces(corners, gap, *box, random)
+    if np.max(position[:, 2]) - np.asarray(box[0])[2] > height:
+        return None
     return position, turn[np.arange(len(made)), chosen]
 
 

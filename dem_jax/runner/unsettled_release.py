@@ -17,9 +17,10 @@ def note_unsettled_release(job: Job, span: ChunkResult) -> list[str]:
     number = (speed >= SETTLED_SPEED).sum(axis=-1)
     if not number.any():
         return []
-    runs = "" if job.runs is None else f"in {(number > 0).sum()} of {job.runs} runs "
+    who = f"{number.max()} of {speed.shape[-1]} pieces"
+    if job.runs is not None:
+        who = f"in {(number > 0).sum()} of {job.runs} runs up to {who}"
     return [
-        f"{runs}{'' if job.runs is None else 'up to '}{number.max()} of {speed.shape[-1]} pieces do not rest in the "
-        f"feed bucket yet as they are released (fastest: {speed.max():.2g} m/s); a longer portion.settling_time "
-        f"(now {portion.settling_time:g} s) lets them"
+        f"{who} do not rest in the feed bucket yet as they are released (fastest: {speed.max():.2g} m/s); "
+        f"a longer portion.settling_time (now {portion.settling_time:g} s) lets them"
     ]

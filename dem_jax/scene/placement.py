@@ -12,6 +12,7 @@ from dem_jax.errors import SceneError
 
 MOST_PLACES = 10**8  # in a layer
 TALLEST_GRID = 0.6  # m: a fall of 0.35 s
+MOST_STACKED = 20_000  # pieces: a stack of them takes seconds
 STACK_COLUMNS = 48  # of the height map of a stack, along each side of the region
 STACK_TRIES = 16  # orientations and places looked at for each piece of a stack
 
@@ -76,12 +77,12 @@ def count_places(
     return fit
 
 
-def is_tall_grid(
+def find_grid_height(
     number: int, bounding_radius: float, spacing: float, low: ArrayLike, high: ArrayLike
-) -> bool:
-    """Whether the grid of ``scatter_pieces`` would be a column higher than TALLEST_GRID."""
+) -> float:
+    """Height (m) of the grid of ``scatter_pieces``."""
     layer = int(count_places(bounding_radius, spacing, low, high).prod())
-    return -(-number // layer) * 2 * bounding_radius * spacing > TALLEST_GRID
+    return -(-number // layer) * 2 * bounding_radius * spacing
 
 
 def stack_pieces(

@@ -81,7 +81,7 @@ def test_long_pieces_begin_in_a_low_stack(changes):
     a, b = np.triu_indices(len(made), 1)
     assert np.all(np.maximum(own[a, 0] - own[b, 1], own[b, 0] - own[a, 1]).max(axis=-1) > 0)
     radius = max(shape.bounding_radius for shape in made)
-    assert placement.is_tall_grid(len(made), radius, 1.02, low, high)
+    assert placement.find_grid_height(len(made), radius, 1.02, low, high) > 0.6
     assert own[:, 1, 2].max() - low[2] < 0.6
     again = stacked(changes)[1]
     np.testing.assert_array_equal(start.position, again.position)
@@ -92,6 +92,16 @@ def test_a_portion_that_is_scattered_is_on_the_grid_however_tall():
     changes = {"product": "french-fry", "portion.arrangement": "scattered"}
     made, start, (low, _) = stacked(changes)
     assert start.position[:, 2].max() - low[2] > 0.6
+
+
+def test_balls_stay_on_the_grid_where_a_stack_would_be_higher():
+    made, start, (low, high) = stacked({"product": "hazelnut", "portion.count": 2000})
+    radius = max(shape.bounding_radius for shape in made)
+    height = placement.find_grid_height(len(made), radius, 1.02, low, high)
+    assert height > 0.6
+    assert start.position[:, 2].max() - low[2] < height
+    first = np.sum(start.position[:, 2] < low[2] + 2.04 * radius)
+    assert first == placement.count_places(radius, 1.02, low, high).prod()
 
 
 FALLING = {

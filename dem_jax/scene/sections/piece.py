@@ -251,8 +251,8 @@ class Portion(PieceShape):
     spacing: float = Field(
         1.02,
         ge=1.0,
-        description="spacing of the grid of scattered pieces, in bounding diameters; a grid higher than 0.6 m is left for a stack before "
-        "pieces settle",
+        description="spacing of the grid of scattered pieces, in bounding diameters; pieces that settle are "
+        "stacked by their own boxes where the grid would be higher than 0.6 m",
     )
 
     @property
