@@ -26,10 +26,15 @@ def cast_tree(tree: Tree, dtype: DTypeLike) -> Tree:
         x = np.asarray(x)  # converted here: nothing to compile
         return x.astype(np.int32 if x.dtype.kind == "i" else dtype)
 
+    leaves, structure = jax.tree.flatten(tree)
     with np.errstate(over="ignore"):  # see assembly.finiteness_check
-        # all in one call, which takes most of the time
-        cast: Tree = jax.device_put(jax.tree.map(cast_leaf, tree))
-    return cast
+        cast = [cast_leaf(x) for x in leaves]
+    on_host = [k for k, x in enumerate(cast) if isinstance(x, np.ndarray)]
+    put = jax.device_put([cast[k] for k in on_host])  # in one call, which takes most of the time
+    for k, array in zip(on_host, put, strict=True):
+        cast[k] = array
+    made: Tree = jax.tree.unflatten(structure, cast)
+    return made
 
 
 def cast_array(x: ArrayLike, dtype: DTypeLike) -> jax.Array:
