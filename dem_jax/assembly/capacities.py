@@ -34,7 +34,7 @@ def estimate_capacities(
         is_general: whether polytopes have any form; these have more neighbours than boxes.
         of_parts: whether pieces have several parts, which lie close together and may be thin; they
             need most slots when they land.
-        is_slender: whether any piece is, see ``is_slender``.
+        is_slender: whether any piece is, see ``has_slender_pieces``.
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
@@ -60,7 +60,7 @@ def estimate_capacities(
     return tuple(out)
 
 
-def is_slender(made: Sequence[Shape]) -> bool:
+def has_slender_pieces(made: Sequence[Shape]) -> bool:
     """Whether any of some pieces is slender, see ``SLENDER``."""
     return any(
         shape.bounding_radius**3 > SLENDER**3 * shape.volume / (4 / 3 * math.pi) for shape in made

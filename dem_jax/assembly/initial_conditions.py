@@ -71,13 +71,13 @@ def place_pieces(
     on_grid, first = [], 0
     for number, box in zip(numbers, [own, *regions[1:]], strict=False):
         group, first = made[first : first + number], first + number
-        stack = None
+        start = None
         if portion.arrangement == "settled":
-            stack = _stack_pieces(group, radius, portion.spacing, box, random)
-        if stack is None:
+            start = _stack_pieces(group, radius, portion.spacing, box, random)
+        if start is None:
             on_grid.append(len(placed))
-            stack = placement.scatter_pieces(number, radius, portion.spacing, *box, random)
-        placed.append(stack)
+            start = placement.scatter_pieces(number, radius, portion.spacing, *box, random)
+        placed.append(start)
     for k in on_grid if is_mixed else ():  # pieces are ordered by product and size
         position, turn = placed[k]
         placed[k] = position[random.permutation(len(position))], turn

@@ -18,7 +18,7 @@ from dem_jax.assembly.capacities import (
     estimate_contacts_per_piece,
     estimate_partition,
     estimate_row_capacity,
-    is_slender,
+    has_slender_pieces,
 )
 from dem_jax.assembly.contact_law import extend_to_class
 from dem_jax.assembly.dtype_cast import cast_array, cast_tree, put_array, reuse_array
@@ -189,7 +189,7 @@ def assemble_system(
         of_class = extend_to_class(scene, law, arrays.materials, has_hulls)
         arrays = replace(arrays, law=of_class[0], materials=of_class[1])
     is_general = hulls is not None and hulls.features is not None
-    kept, slender = partial(reuse_array, reuse), is_slender(made)
+    kept, slender = partial(reuse_array, reuse), has_slender_pieces(made)
     system = System(
         parts=parts,
         hulls=hulls,

@@ -2,6 +2,8 @@
 else for the few corners of a panel; these have the same bits.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 
@@ -33,6 +35,18 @@ def loop_normal(loop: np.ndarray) -> np.ndarray:
     """Unit normal [3] of a planar loop [k, 3] by the right-hand rule."""
     area = area_vector(loop)
     return area / np.linalg.norm(area)
+
+
+def loop_normals(vertices: np.ndarray, faces: Sequence[Sequence[int]]) -> np.ndarray:
+    """Unit normals [F, 3] of planar loops of vertices [V, 3], each as ``loop_normal`` gives it to
+    the last bit.
+    """
+    areas = np.empty((len(faces), 3))
+    counts = np.array([len(loop) for loop in faces])
+    for count in np.unique(counts):
+        alike = np.flatnonzero(counts == count)
+        areas[alike] = area_vector(vertices[np.array([faces[k] for k in alike.tolist()])])
+    return areas / np.array([np.linalg.norm(area) for area in areas])[:, None]
 
 
 def loop_area(loop: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.math.loops import area_vector
+from dem_jax.math.loops import loop_normals
 from dem_jax.shapes.coplanar_merge import find_closed_sides
 from dem_jax.shapes.edge_directions import find_edge_directions
 from dem_jax.shapes.mass import Loop, integrate_polyhedron, principal_frame
@@ -46,18 +46,6 @@ def make_polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Sha
         edge_directions=units,
         generators=_zonotope_generators(vertices, faces, edges, units, of_edge, TOLERANCE * radius),
     )
-
-
-def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
-    """Unit normals [F, 3] of planar loops of vertices [V, 3], each as ``loop_normal`` gives it to
-    the last bit.
-    """
-    areas = np.empty((len(faces), 3))
-    counts = np.array([len(loop) for loop in faces])
-    for count in np.unique(counts):
-        alike = np.flatnonzero(counts == count)
-        areas[alike] = area_vector(vertices[np.array([faces[k] for k in alike.tolist()])])
-    return areas / np.array([np.linalg.norm(area) for area in areas])[:, None]
 
 
 def support_distances(points: np.ndarray, normals: np.ndarray) -> np.ndarray:

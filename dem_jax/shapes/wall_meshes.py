@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.math.loops import cross_product, loop_area, loop_normal, next_corners
+from dem_jax.math.loops import cross_product, loop_area, loop_normal, loop_normals, next_corners
 from dem_jax.shapes.checks import require_length
 from dem_jax.shapes.closed_bodies import find_bodies, measure_thickness
 from dem_jax.shapes.coplanar_merge import corner_bulge
-from dem_jax.shapes.polytope import loop_normals
 from dem_jax.shapes.shape import TOLERANCE
 from dem_jax.shapes.stl import load_stl
 

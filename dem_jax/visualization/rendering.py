@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from dem_jax.errors import RecordError
 from dem_jax.io.run_data import Frames
-from dem_jax.math.loops import loop_normal
+from dem_jax.math.loops import loop_normals
 from dem_jax.math.pose import quaternion_to_matrix
 from dem_jax.shapes import ConvexPart, Shape, convex_surface_mesh, list_parts
 from dem_jax.visualization import animation, scene_geometry
@@ -320,7 +320,7 @@ def _convex_body(
     vertices: ArrayLike, faces: tuple[tuple[int, ...], ...], outlined: bool = True
 ) -> ConvexBody:
     vertices = np.asarray(vertices, np.float64)
-    normals = np.stack([loop_normal(vertices[list(loop)]) for loop in faces])
+    normals = loop_normals(vertices, faces)
     return ConvexBody(vertices, faces, normals, (vertices @ normals.T).max(axis=0), outlined)
 
 

@@ -274,9 +274,8 @@ def test_a_function_is_told_of_progress_instead_of_a_bar(capsys):
     with Progress(bare_job(), lambda phase, share: told.append((phase, share))) as shown:
         shown.show_compiling()
         shown.show_chunk(done_chunk(0, 4))
-        shown.show_chunk(
-            done_chunk(4, 1, settled=True)
-        )  # at rest: what is left need not be computed
+        # at rest: what is left need not be computed
+        shown.show_chunk(done_chunk(4, 1, settled=True))
     assert told == [("compiling", 0.0), ("running", 0.4), ("running", 1.0)]
     assert capsys.readouterr().err == ""
 
