@@ -143,16 +143,18 @@ class Writer:
         Raises ValueError for names that differ from the first append's, or lengths that differ from
         time's, and RecordError for a file that cannot be written or is gone.
         """
-        self._check_unchanged()
-        series = {name: np.asarray(a) for name, a in flatten_tree(samples).items()}
-        self._check_rows(series, TIME_DATASETS[0])
-        poses = {f"pieces/{name}": np.asarray(a) for name, a in (frames or {}).items()}
-        self._check_rows(poses, TIME_DATASETS[1])
-        state = {name: np.asarray(a) for name, a in flatten_tree(restart or {}).items()}
-        self._names = (self._names or set()) | series.keys() | poses.keys()
-        self._pending.append(_PendingRows(series | poses, state, info or {}))
-        if self._is_due():
-            self.flush()
+        with process.defer_signals():  # and not while another thread flushes: between its
+            # replacing the file and its noting that, the file would seem another process's
+            self._check_unchanged()
+            series = {name: np.asarray(a) for name, a in flatten_tree(samples).items()}
+            self._check_rows(series, TIME_DATASETS[0])
+            poses = {f"pieces/{name}": np.asarray(a) for name, a in (frames or {}).items()}
+            self._check_rows(poses, TIME_DATASETS[1])
+            state = {name: np.asarray(a) for name, a in flatten_tree(restart or {}).items()}
+            self._names = (self._names or set()) | series.keys() | poses.keys()
+            self._pending.append(_PendingRows(series | poses, state, info or {}))
+            if self._is_due():
+                self.flush()
 
     def write_restart(self, arrays: dict[str, Any]) -> None:
         """Replace the restart state only: path -> array."""

@@ -327,6 +327,29 @@ def test_of_two_processes_that_go_on_with_a_file_one_stops(run_file):
     np.testing.assert_array_equal(load_run(run_file).time, samples(0, 20)["time"])
 
 
+def test_a_thread_that_saves_at_an_interrupt_is_not_taken_for_another_process(
+    run_file, monkeypatch
+):
+    replaced = threading.Event()
+
+    def replace_slowly(path, content):
+        known = atomic_files.replace_file(path, content)
+        replaced.set()
+        time.sleep(0.2)  # the writer does not know yet that the new file is its own
+        return known
+
+    writer = Writer.resume(run_file, interval=60)
+    writer.append(samples(10, 5))
+    monkeypatch.setattr("dem_jax.io.writer.replace_file", replace_slowly)
+    saving = threading.Thread(target=writer.flush)
+    saving.start()
+    assert replaced.wait(10)
+    writer.append(samples(15, 5))  # by the main thread, which goes on meanwhile
+    saving.join()
+    writer.flush()
+    np.testing.assert_array_equal(load_run(run_file).time, samples(0, 20)["time"])
+
+
 def test_of_two_processes_that_begin_a_file_one_stops(tmp_path):
     path = tmp_path / "run.h5"
     Writer.create(path, header())
