@@ -246,7 +246,8 @@ class Plates(PytreeBase):
     directions: tuple[Array, Array]  # [k, W] x 2: unit, of each edge
     lengths: Array  # [k, W] (m)
     half_thickness: Array  # [W] (m)
-    seams: tuple[Array, Array, Array] | None  # [m, W] x 3: as in ``Hulls``
+    seams: tuple[Array, Array] | None  # [k, W] x 2 (m): from where to where along each edge other
+    # panels continue this one; an edge without a seam ends before it begins
 
 
 @pytree

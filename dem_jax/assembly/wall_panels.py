@@ -12,10 +12,10 @@ from numpy.typing import DTypeLike
 from dem_jax import shapes
 from dem_jax.assembly.dtype_cast import cast_tree
 from dem_jax.assembly.flap_drive_setup import build_flap_drives
-from dem_jax.assembly.hull_table import pad_rows, stack_seams
+from dem_jax.assembly.hull_table import pad_rows
 from dem_jax.assembly.initial_conditions import Box
 from dem_jax.assembly.load_cell_setup import build_load_cell_model
-from dem_jax.assembly.panel_surfaces import PanelSeams, count_surfaces, find_surfaces
+from dem_jax.assembly.panel_surfaces import NO_SEAMS, PanelSeams, count_surfaces, find_surfaces
 from dem_jax.assembly.stl_unit_check import check_stl_unit
 from dem_jax.errors import SceneError
 from dem_jax.math.loops import cross_product, loop_normal
@@ -330,18 +330,40 @@ def _build_plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -
     outlines = [shape.vertices[list(shape.faces[0]), :2] for shape in panels]
     most = max(map(len, outlines), default=3)
     rows = []
-    for corners in outlines:
+    for corners, of in zip(outlines, seams or [NO_SEAMS] * len(panels), strict=True):
         edges = np.roll(corners, -1, axis=0) - corners
         lengths = np.linalg.norm(edges, axis=1, keepdims=True)
-        rows.append(pad_rows(np.concatenate([corners, edges / lengths, lengths], axis=1), most))
-    x, y, along_x, along_y, lengths = np.array(rows, float).reshape(-1, most, 5).transpose(2, 1, 0)
+        columns = [corners, edges / lengths, lengths, _seam_spans(corners, of)]
+        rows.append(pad_rows(np.concatenate(columns, axis=1), most))
+    x, y, along_x, along_y, lengths, begin, end = (
+        np.array(rows, float).reshape(-1, most, 7).transpose(2, 1, 0)
+    )
     return Plates(
         corners=(as_array(x), as_array(y)),
         directions=(as_array(along_x), as_array(along_y)),
         lengths=as_array(lengths),
         half_thickness=as_array(np.array([shape.vertices[:, 2].max() for shape in panels], float)),
-        seams=stack_seams(seams, float) if seams else None,
+        seams=(as_array(begin), as_array(end)) if seams else None,
     )
+
+
+def _seam_spans(corners: np.ndarray, seams: PanelSeams) -> np.ndarray:
+    """From where to where along the edges of a panel [k, 2] (m) others continue it, [k, 2] (m); to
+    infinity where a seam reaches the end of its edge. seams: in the frame of the panel.
+    """
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    along = sides / lengths[:, None]
+    out = np.c_[along[:, 1], -along[:, 0]]
+    spans = np.tile([np.inf, -np.inf], (len(corners), 1))
+    for across, ends in zip(seams.across, seams.ends, strict=True):
+        edge = int(np.argmax(out @ across[:2]))
+        low, high = np.sort((ends[:, :2] - corners[edge]) @ along[edge])
+        near = 1e-9 * lengths[edge]
+        low = -np.inf if low < near else min(low, spans[edge, 0])
+        high = np.inf if high > lengths[edge] - near else max(high, spans[edge, 1])
+        spans[edge] = low, high
+    return spans
 
 
 def _build_panel(

@@ -45,6 +45,8 @@ PART_EDGE_TOLERANCE = 1e-5  # of a part's bounding radius: a sphere that touches
 # this distance beside a part touches the part
 SEAM_SINE_TOLERANCE = 1e-5  # a sphere whose normal points across a seam by no more touches both
 # panels
+CORNER_TOLERANCE = 1e-4  # relative, of squared distances: edges as close to a sphere that touches
+# a corner meet there
 FLAT_TOLERANCE = 8.0  # roundings: both ends of an edge are equally deep if the edge deviates from a
 # right angle to the normal by less
 PARALLEL_TOLERANCE = 8.0  # roundings: edges whose directions differ by less have no common normal
@@ -748,10 +750,12 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
     x, y, z = centre
     to_x, to_y = x[None] - a.corners[0], y[None] - a.corners[1]  # [k, P]
     along_x, along_y = a.directions
-    along = jnp.clip(to_x * along_x + to_y * along_y, 0, a.lengths)
+    way = to_x * along_x + to_y * along_y
+    along = jnp.clip(way, 0, a.lengths)
     from_x, from_y = fusion_barrier(to_x - along * along_x, to_y - along * along_y)
     beyond = fusion_barrier(to_x * along_y - to_y * along_x)
-    _, nearest = _min_row(from_x * from_x + from_y * from_y)
+    aside = from_x * from_x + from_y * from_y
+    closest, nearest = _min_row(aside)
     least, edge = _min_row(-beyond)
     is_beside, above = least < 0, jnp.abs(z) - a.half_thickness
     up = jnp.where(z < 0, -1, 1).astype(z.dtype)
@@ -768,15 +772,17 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
     found = _sphere_contact(away, jnp.maximum(above, -least), inner, radius, centre)
     if a.seams is None:
         return found
-    # Beside a panel that another one continues, the contact belongs to the other panel.
-    across = [
-        dot(found.normal, vector.take_entries(a.seams, k)) for k in range(a.seams[0].shape[0])
-    ]
-    return found._replace(
-        weight=jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE_TOLERANCE, 0, 1).astype(
-            radius.dtype
-        )
-    )
+    # Beside a seam, where another panel continues this one, the contact belongs to that panel;
+    # beside a corner if one of the edges that meet there is a seam and the normal points across it.
+    begin, end = a.seams
+    is_nearest = jnp.arange(aside.shape[0], dtype=nearest.dtype)[:, None] == nearest[None]
+    is_corner = jnp.any(is_nearest & ((way <= 0) | (way >= a.lengths)), axis=0)
+    meets = is_nearest | (is_corner[None] & (aside <= (1 + CORNER_TOLERANCE) * closest[None]))
+    normal_x, normal_y, _ = found.normal
+    across = normal_x[None] * along_y - normal_y[None] * along_x  # [k, P]
+    is_seam = (along >= begin) & (along <= end)
+    beyond_seam = jnp.any(meets & is_seam & (across > SEAM_SINE_TOLERANCE), axis=0)
+    return found._replace(weight=jnp.where(beyond_seam, 0, 1).astype(radius.dtype))
 
 
 def _sphere_contact(
