@@ -113,6 +113,11 @@ def target(
         raise BadInput(f"m_piece = {m_piece:g}: must be greater than 0 (kg)")
     if pieces < 1:
         raise BadInput(f"pieces = {pieces}: must be at least 1")
+    if not force.any():
+        raise BadInput(
+            f"{name}: the force is zero in all of its {time[-1]:g} s: no piece has landed; needed: a trace "
+            "that goes on until all lie (a run that was stopped goes on with dem-jax run --resume)"
+        )
     if force.max() <= 0:
         raise BadInput(
             f"{name}: the force is nowhere positive; that of the pieces on the bucket counts as positive: reverse its sign"

@@ -169,14 +169,16 @@ class Run:
         if not values:
             return {"info": info}
         from dem_jax.scene import parse_scene
+        from dem_jax.scene.material_properties import keep_modulus_ranges
 
         info = {
             name: said
             for name, said in info.items()
             if name not in ("parameters", "steps", "piece_counts")
         }
-        scene = parse_scene(self.scene, "the ensemble's scene").replace(
-            {key: each[k] for key, each in values.items()}
+        whole = parse_scene(self.scene, "the ensemble's scene")
+        scene = whole.replace(
+            keep_modulus_ranges(whole, {key: each[k] for key, each in values.items()})
         )
         count = int(self.piece_counts[k])
         return {

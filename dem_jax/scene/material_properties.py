@@ -1,6 +1,6 @@
 """Materials of a scene as arrays: properties of each, and of each pair."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -154,6 +154,22 @@ def find_modulus_range(scene: Scene, name: str | None) -> tuple[float, float] | 
     if own is not None and (own.youngs_modulus_range is not None or own.youngs_modulus is not None):
         return own.youngs_modulus_range
     return scene.material.youngs_modulus_range
+
+
+def keep_modulus_ranges(scene: Scene, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of keys of a scene, with the ranges of the moduli among them: those of the product, which
+    replacing a modulus alone would drop.
+    """
+    kept = dict(values)
+    for key in values:
+        section, *name, last = key.split(".")
+        known = (
+            find_modulus_range(scene, name[0] if name else None)
+            if (section, last) == ("material", "youngs_modulus")
+            else None
+        )
+        kept |= {f"{key}_range": known} if known else {}
+    return kept
 
 
 def _list_piece_materials(scene: Scene) -> list[str | None]:

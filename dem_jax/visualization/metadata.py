@@ -18,6 +18,7 @@ from dem_jax.scene.material_properties import (
     build_material_table,
     find_modulus_range,
     find_piece_rows,
+    keep_modulus_ranges,
 )
 from dem_jax.shapes import principal_extents
 from dem_jax.visualization.bucket_heap import describe_heap
@@ -65,14 +66,16 @@ def collect_facts(run: Run) -> dict[str, Facts]:
 
 def describe_stiffness(run: Run) -> str:
     """Describe the dependence of the peak on Young's modulus and NSF (eqs 5, 7 and 8)."""
-    scene = parse_scene(run.scene, "the file's scene")
-    nsf, power = scene.material.numerical_softening, STIFFNESS_EXPONENTS[scene.contact.law]
-    words = f"E of the pieces is {_describe_moduli(build_material_table(scene))}, and NSF = {nsf:g} multiplies all moduli"
+    scenes = list_stiffness_scenes(run)
+    moduli, softening = _describe_moduli(scenes), _describe_softening(scenes)
+    nsf = np.array([one.material.numerical_softening for one in scenes])
+    power = STIFFNESS_EXPONENTS[scenes[0].contact.law]
+    words = f"E of the pieces is {moduli}, and NSF = {softening} multiplies all moduli"
     grows = f"the peak of a single impact grows with the power {power:g} of E · NSF"
     real = (
         ""
-        if nsf == 1.0
-        else f", so without softening (NSF = 1) it would be {nsf**-power:.3g} times as high"
+        if np.ptp(nsf) > 0 or nsf[0] == 1.0
+        else f", so without softening (NSF = 1) it would be {nsf[0] ** -power:.3g} times as high"
     )
     return f"{words}: {grows}{real}; that of a portion changes less, as harder impacts are shorter and coincide less."
 
@@ -81,8 +84,8 @@ def summarize_stiffness(run: Run) -> str:
     """E and NSF, without which a peak has no meaning, and the exponent with which the peak of one
     impact grows with them.
     """
-    scene = parse_scene(run.scene, "the file's scene")
-    words = f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.numerical_softening:g}"
+    scenes = list_stiffness_scenes(run)
+    scene, words = scenes[0], f"E = {_describe_moduli(scenes)}, NSF = {_describe_softening(scenes)}"
     if "law" in run.info:  # one of a user's own
         return words
     power = {0.5: "sqrt(E NSF)"}.get(
@@ -92,11 +95,31 @@ def summarize_stiffness(run: Run) -> str:
     return f"{words}: of one impact they scale with {power}{_describe_yield(scene)}"
 
 
+def list_stiffness_scenes(run: Run) -> list[Scene]:
+    """The scene of a run, or the scenes of the runs of an ensemble if their moduli or their softening
+    differ, without their other parameters.
+    """
+    scene = parse_scene(run.scene, "the file's scene")
+    rows = {
+        key: values
+        for key, values in run.parameters.items()
+        if key.endswith(("youngs_modulus", "numerical_softening"))
+    }
+    if not rows:
+        return [scene]
+    return [
+        scene.replace(
+            keep_modulus_ranges(scene, {key: each[k].item() for key, each in rows.items()})
+        )
+        for k in range(run.run_count or 1)
+    ]
+
+
 def describe_peak_factors(scene: Scene) -> str:
     """E and NSF behind the peaks of a scene, and the factor by which one impact would be harder
     with the product's own modulus.
     """
-    words = f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.numerical_softening:g}"
+    words = f"E = {_describe_moduli([scene])}, NSF = {_describe_softening([scene])}"
     factors = find_peak_factors(scene)
     if factors is None:
         return f"{words}, {_describe_assumed_modulus(scene)}"
@@ -151,11 +174,18 @@ def find_peak_factors(scene: Scene) -> tuple[float, float] | None:
     return float(np.min(found)), float(np.max(found))
 
 
-def find_peak_band(run: Run) -> tuple[float, float] | None:
-    """``find_peak_factors`` of the scene of a run; also None for a contact law of the user."""
-    return (
-        None if "law" in run.info else find_peak_factors(parse_scene(run.scene, "the file's scene"))
-    )
+def find_peak_band(run: Run) -> np.ndarray | None:
+    """``find_peak_factors`` of a run, [2, 1], or of the runs of an ensemble, [2, R], by the modulus
+    of each; also None for a contact law of the user.
+    """
+    if "law" in run.info:
+        return None
+    found = [find_peak_factors(scene) for scene in list_stiffness_scenes(run)]
+    known = [factors for factors in found if factors is not None]
+    if len(known) < len(found):
+        return None
+    runs = run.run_count or 1
+    return np.broadcast_to(np.array(known).T, (2, runs))
 
 
 def describe_peak_band(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
@@ -168,7 +198,7 @@ def describe_peak_band(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
         return f"the peak rests on {_describe_assumed_modulus(scene)}"
     softened = "" if scene.material.numerical_softening == 1 else " without softening (NSF = 1)"
     which = "the peak" if np.size(peaks) == 1 else "the median peak"
-    low, high = (float(np.median(peaks)) * factor for factor in factors)
+    low, high = np.median(factors * np.asarray(peaks), axis=1)
     product = f"a modulus of {_describe_modulus_ranges(scene)}{softened}{_describe_yield(scene)}"
     return f"band of {which}: {low:.3g} to {high:.3g} kg, as of one impact with {product}"
 
@@ -184,11 +214,26 @@ def find_softened_modulus(scene: Scene) -> float:
     return float(table.youngs_modulus[~table.is_wall].max() * scene.material.numerical_softening)
 
 
-def _describe_moduli(table: MaterialTable) -> str:
-    """Young's moduli of the pieces."""
+def _describe_moduli(scenes: Sequence[Scene]) -> str:
+    """Young's moduli of the materials of pieces, of one scene or of several that differ in them."""
+    tables = [build_material_table(scene) for scene in scenes]
+    moduli = zip(*(table.youngs_modulus[~table.is_wall].tolist() for table in tables), strict=True)
     return ", ".join(
-        format_si(e, "Pa") for e in dict.fromkeys(table.youngs_modulus[~table.is_wall].tolist())
+        dict.fromkeys(_describe_ends([format_si(e, "Pa") for e in sorted(of)]) for of in moduli)
     )
+
+
+def _describe_softening(scenes: Sequence[Scene]) -> str:
+    """The softening of one scene, or of several that differ in it."""
+    return _describe_ends(
+        [f"{factor:g}" for factor in sorted(one.material.numerical_softening for one in scenes)]
+    )
+
+
+def _describe_ends(values: Sequence[str]) -> str:
+    """A value, or the ends of several in order."""
+    low, high = values[0], values[-1]
+    return low if low == high else f"{low} to {high} (each run has its own)"
 
 
 def portion_weights(run: Run) -> np.ndarray:

@@ -266,6 +266,7 @@ BAD = {
     "mass": ((TIME, np.ones(400), -1e-3, 5), "m_piece = -0.001: must be greater than 0 (kg)"),
     "pieces": ((TIME, np.ones(400), 1e-3, 0), "pieces = 0"),
     "sign": ((TIME, -np.ones(400), 1e-3, 5), "nowhere positive"),
+    "nothing landed": ((TIME, np.zeros(400), 1e-3, 5), "no piece has landed"),
 }
 
 

@@ -378,3 +378,38 @@ def test_seeds_are_whole_numbers(tmp_path):
             dem_jax.ensemble(scene, 2, seed=seed, out=tmp_path / "runs.h5")
     assert not list(tmp_path.iterdir())
     assert assembly.assemble_system(scene, np.int64(3)).samples > 0
+
+
+def test_the_band_of_runs_of_different_moduli_is_that_of_the_modulus_of_each():
+    """Peaks of 2 and 4 kg at 1 and 4 MPa: without softening each is that of the ends of the range.
+
+    Tolerance: walls in series.
+    """
+    scene = SCENE.replace(
+        {
+            "material.youngs_modulus": 2e6,
+            "material.youngs_modulus_range": [1e6, 4e6],
+            "material.numerical_softening": 1.0,
+        }
+    )
+    made = stored(peaks=(2.0, 4.0), frames=0, scene=scene)
+    drawn = {"material.youngs_modulus": [1e6, 4e6], "material.restitution": [0.2, 0.4]}
+    info = {"parameters": drawn, "steps": [5e-6, 5e-6]}
+    run = replace(made, header=replace(made.header, info=info))
+    least, greatest = (
+        number(run, f"peak force without softening, {end} modulus") for end in ("least", "greatest")
+    )
+    np.testing.assert_allclose(least.values, [2.0, 2.0], rtol=1e-3)
+    np.testing.assert_allclose(greatest.values, [4.0, 4.0], rtol=1e-3)
+    lines = summarize_run(run)
+    assert any("E = 1 MPa to 4 MPa (each run has its own), NSF = 1:" in line for line in lines)
+    assert any(line.startswith("band of the median peak: 2 to 4 kg") for line in lines)
+    one = replace(
+        run,
+        header=replace(
+            run.header,
+            info=info
+            | {"parameters": {"material.youngs_modulus": drawn["material.youngs_modulus"]}},
+        ),
+    ).member(1)
+    assert any(line.startswith("band of the peak: 2 to 4 kg") for line in summarize_run(one))
