@@ -44,6 +44,7 @@ TableRows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hull
 PLANES_AT_ONCE = 8  # planes that clip at once if all planes clip
 PAIRS_AT_ONCE = 32  # pairs that are refreshed together: those whose refresh is due, and those due
 # next
+LONE_PAIRS_AT_ONCE = 8  # pairs without a patch whose edges are searched together: few of a tile
 
 
 class SeparatingAxis(NamedTuple):
@@ -332,12 +333,18 @@ def polytope_contact_patch(
     )
 
 
-def edges_inside(hulls: Hulls, rows: TableRows, rel: RelativePose) -> tuple[Array, Vector]:
+def edges_inside(
+    which: Array, hulls: Hulls, rows: TableRows, rel: RelativePose, normal: Vector
+) -> tuple[Array, Vector]:
     """Length [P] (m) of the edges of outer faces of both bodies that are inside the other one, and
     its centroid [P] x 3 (m) about b's origin, in a's frame.
 
     Overlapping bodies have such edges, even if their support faces (``polytope_contact_patch``)
     have none.
+
+    which: [P] bool, the pairs to search; 0 for the others; normal: [P] x 3, of the contact, in a's
+    frame. Faces that the other body does not reach along it, or that are beyond one of its planes,
+    are left out.
     """
     loops = hulls.face_loops
     assert loops is not None and hulls.features is not None
@@ -346,43 +353,108 @@ def edges_inside(hulls: Hulls, rows: TableRows, rel: RelativePose) -> tuple[Arra
     planes = hulls.features.part_planes[..., both[::-1]]  # [4, F, 2, P]
     together = min(PLANES_AT_ONCE, planes.shape[1])
     counts = hulls.features.counts[3][both]
+    within_reach = which[None, None] & _are_faces_within_reach(
+        hulls, both, rel, normal
+    )  # [F, 2, P]
 
     def add_face(face: Array, total: tuple[Array, Vector]) -> tuple[Array, Vector]:
-        length, first = total
-        own_a, own_b = (loop_vectors(loops, at) for at in fusion_barrier(face * table_rows + both))
-        from_b, around_b = vector.sub(own_a, d), vector.rotate(turn, own_b)
-        seen = _stack_sides(vector.rotate_back(turn, from_b), vector.add(around_b, d))
-        corners = _stack_sides(from_b, around_b)
-        corner, edge = (
-            vector.take_entries(corners, slice(-1)),
-            vector.map_components(lambda c: c[1:] - c[:-1], corners),
-        )
-
-        def cut_interval(k: Array | int, inside: tuple[Array, Array]) -> tuple[Array, Array]:
-            # the last slice starts earlier and overlaps the previous one, which is harmless
-            some = jax.lax.dynamic_slice_in_dim(planes, k * together, together, 1)
-            start, end = edge_crossings(seen, unstack_vector(some), some[3])
-            return jnp.maximum(inside[0], start), jnp.minimum(inside[1], end)
-
-        none = jnp.zeros_like(edge[0])
-        start, end = jax.lax.fori_loop(
-            0, -(-planes.shape[1] // together), cut_interval, (none, none + 1)
-        )
-        counted = face < counts
+        counted = within_reach[face] & (face < counts)
         if hulls.interior_faces is not None:
             counted = counted & (hulls.interior_faces[face, both] <= 0)
-        inside = jnp.where(counted, jnp.maximum(end - start, 0) * vector.norm(edge), 0)
-        x, y, z = (
-            jnp.sum(inside * (c + 0.5 * (start + end) * e), axis=(0, 1))
-            for c, e in zip(corner, edge, strict=True)
-        )
-        return length + jnp.sum(inside, axis=(0, 1)), fusion_barrier(*vector.add(first, (x, y, z)))
+
+        def clip_face() -> tuple[Array, Vector]:
+            own_a, own_b = (
+                loop_vectors(loops, at) for at in fusion_barrier(face * table_rows + both)
+            )
+            from_b, around_b = vector.sub(own_a, d), vector.rotate(turn, own_b)
+            seen = _stack_sides(vector.rotate_back(turn, from_b), vector.add(around_b, d))
+            heights = dot(expand_dims(unstack_vector(planes), 1), expand_dims(seen, 0))
+            is_beyond = jnp.any(jnp.min(heights, axis=1) > planes[3], axis=0)
+
+            def add_edges() -> tuple[Array, Vector]:
+                length, middle = _edge_lengths_inside(
+                    seen, _stack_sides(from_b, around_b), planes, together
+                )
+                length = jnp.where(counted, length, 0)
+                x, y, z = (jnp.sum(length * c, axis=(0, 1)) for c in middle)
+                return total[0] + jnp.sum(length, axis=(0, 1)), fusion_barrier(
+                    *vector.add(total[1], (x, y, z))
+                )
+
+            return jax.lax.cond(jnp.any(counted & ~is_beyond), add_edges, lambda: total)
+
+        return jax.lax.cond(jnp.any(counted), clip_face, lambda: total)
 
     zero = jnp.zeros(rows[0].shape, rel.offset[0].dtype)
     length, first = jax.lax.fori_loop(
         0, hulls.features.part_planes.shape[1], add_face, (zero, (zero, zero, zero))
     )
     return length, vector.scale(1 / jnp.where(length > 0, length, 1), first)
+
+
+def _are_faces_within_reach(hulls: Hulls, both: Array, rel: RelativePose, normal: Vector) -> Array:
+    """Whether the other body reaches each face along a normal [P] x 3 from a to b, [F, 2, P] bool.
+    both: [2, P] int32, rows of the table.
+    """
+    assert hulls.face_loops is not None
+    count = hulls.row.shape[0]
+    face = jnp.arange(hulls.face_loops.shape[-1] // count, dtype=jnp.int32)[:, None, None]
+    corners = loop_vectors(hulls.face_loops, face * count + both[None])  # [k, F, 2, P]
+    along = expand_dims(outward_normals(normal, rel), (0, 1))
+    top = fusion_barrier(jnp.max(dot(along, corners), axis=0))
+    lowest_of_other = dot(normal, rel.offset)[None] - jnp.max(top, axis=0)[::-1]
+    return top >= lowest_of_other[None]
+
+
+def _edge_lengths_inside(
+    seen: Vector, corners: Vector, planes: Array, together: int
+) -> tuple[Array, Vector]:
+    """Length [k, 2, P] (m) of each edge of a face that is inside the other body, and the middle of
+    that part, [k, 2, P] x 3 (m).
+
+    seen: corners [k + 1, 2, P] x 3 (m) in the frame of the planes [4, F, 2, P]; corners: the same in
+    the frame of the result; together: planes that cut at once.
+    """
+    corner, edge = (
+        vector.take_entries(corners, slice(-1)),
+        vector.map_components(lambda c: c[1:] - c[:-1], corners),
+    )
+
+    def cut_interval(k: Array | int, inside: tuple[Array, Array]) -> tuple[Array, Array]:
+        # the last slice starts earlier and overlaps the previous one, which is harmless
+        some = jax.lax.dynamic_slice_in_dim(planes, k * together, together, 1)
+        start, end = edge_crossings(seen, unstack_vector(some), some[3])
+        return jnp.maximum(inside[0], start), jnp.minimum(inside[1], end)
+
+    none = jnp.zeros_like(edge[0])
+    start, end = jax.lax.fori_loop(
+        0, -(-planes.shape[1] // together), cut_interval, (none, none + 1)
+    )
+    return jnp.maximum(end - start, 0) * vector.norm(edge), vector.add_scaled(
+        corner, 0.5 * (start + end), edge
+    )
+
+
+def edges_inside_where(
+    which: Array, hulls: Hulls, rows: TableRows, rel: RelativePose, normal: Vector
+) -> tuple[Array, Vector]:
+    """``edges_inside``, a few pairs at a time."""
+    count = min(LONE_PAIRS_AT_ONCE, which.shape[0])
+
+    def search_batch(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        left, found = carry
+        at = jax.lax.top_k(left.astype(jnp.float32), count)[1]
+        length, middle = edges_inside(
+            left[at], hulls, *jax.tree.map(lambda x: x[at], (rows, rel, normal))
+        )
+        found = found.at[:, at].add(jnp.stack([length, *middle]), mode="promise_in_bounds")
+        return left.at[at].set(False), found
+
+    none = jnp.zeros((4, *which.shape), rel.offset[0].dtype)
+    length, *middle = jax.lax.while_loop(
+        lambda carry: jnp.any(carry[0]), search_batch, (which, none)
+    )[1]
+    return length, (middle[0], middle[1], middle[2])
 
 
 def _deepest_corner(

@@ -311,8 +311,16 @@ def locate_by_edges(
     table, reach = system.hulls, system.law.interaction_range(slots.pair)
     assert table is not None and a.rotation is not None and found.weight is not None
     nearer = offset if reach is None else vector.add_scaled(offset, -reach, found.normal)
-    length, centroid = cached_features.edges_inside(
-        table, hull_rows(system, slots), relative_pose(a, b, nearer)
+    # a loop of unknown length cannot be differentiated in reverse mode
+    search = (
+        cached_features.edges_inside_where if system.slot_block else cached_features.edges_inside
+    )
+    length, centroid = search(
+        is_lone,
+        table,
+        hull_rows(system, slots),
+        relative_pose(a, b, nearer),
+        vector.rotate_back(a.rotation, found.normal),
     )
     at_b = vector.rotate(a.rotation, centroid)
     at_b = at_b if b.part_offset is None else vector.add(at_b, b.part_offset)

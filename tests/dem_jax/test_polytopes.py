@@ -490,34 +490,47 @@ def test_contact_whose_edges_are_on_neither_of_the_facing_faces_is_where_they_cr
     The hips lean by 30 degrees, the slopes by 60: with a depth of d, of each ridge, an edge of two
     faces, a length of 2 d tan 30 is inside the other roof, and of no other edge anything.
     """
-    depth, end, high = 1e-4, 5e-3, 1e-2  # m: of one ridge below the other; half of a ridge; height
-    # of a roof
-    x, y = 2e-3, -1e-3  # m: where b has its middle
+    end, high = 5e-3, 1e-2  # m: half of a ridge; height of a roof
+    depth = np.r_[np.linspace(-1e-4, 2e-4, 19), 1e-4]  # m: of one ridge below the other
+    x, y = 2e-3 - np.linspace(0, 3e-3, 20), -1e-3  # m: where b has its middle
     base = [(end + high * 3**0.5) * u for u in (-1, 1)], [high / 3**0.5 * u for u in (-1, 1)]
     corners = [(-end, 0, 0), (end, 0, 0), *((u, v, -high) for u in base[0] for v in base[1])]
     shape, centre = shapes.hull_and_centre(np.array(corners))
     table = jax.tree.map(jnp.asarray, tables_of.build_hull_table([shape], np.float64))
     principal = quaternion_to_matrix(shape.principal)
     turned = np.array([(0, 1, 0), (1, 0, 0), (0, 0, -1)])  # b: upside down, its ridge along y
-    place = np.array([x, y, -depth])
-    offset = principal.T @ (place + turned @ centre - centre)
+    place = np.stack([x, np.full(20, y), -depth], axis=1)
+    offset = (place + turned @ centre - centre) @ principal
     rotation = principal.T @ turned @ principal
     rel = collision_primitives.RelativePose(
-        tuple(tuple(jnp.asarray([c]) for c in row) for row in rotation),
-        tuple(jnp.asarray([c]) for c in offset),
+        tuple(tuple(jnp.full(20, c) for c in row) for row in rotation),
+        tuple(jnp.asarray(c) for c in offset.T),
     )
-    rows = (jnp.zeros(1, jnp.int32),) * 2
+    rows = (jnp.zeros(20, jnp.int32),) * 2
+    is_asked = np.arange(20) % 5 != 2  # more than are searched at once
 
     @partial(jax.jit, compiler_options=supported_options("cpu"))
     def contact(table, rows, rel):
         found = contact_geometry.polytope_contact(table, rows, rel)
-        return found.depth, found.weight, *cached_features.edges_inside(table, rows, rel)
+        pairs = jnp.asarray(is_asked), table, rows, rel, found.normal
+        return (
+            found.depth,
+            found.weight,
+            cached_features.edges_inside(*pairs),
+            cached_features.edges_inside_where(*pairs),
+        )
 
-    found, weight, length, point = contact(table, rows, rel)
-    assert float(found[0]) == pytest.approx(depth, rel=1e-9) and float(weight[0]) == 0
-    assert float(length[0]) == pytest.approx(8 * depth * np.tan(np.pi / 6), rel=1e-9)
-    crossing = principal @ (np.array([float(c[0]) for c in point]) + offset) + centre
-    np.testing.assert_allclose(crossing, [x, 0, -depth / 2], atol=1e-9)
+    found, weight, *ways = contact(table, rows, rel)
+    np.testing.assert_allclose(found, depth, rtol=1e-9, atol=1e-16)
+    np.testing.assert_array_equal(weight, 0)
+    touches = is_asked & (depth > 1e-12)
+    assert 8 < touches.sum() < is_asked.sum() < 20
+    for length, point in ways:
+        inside = np.where(touches, 8 * depth * np.tan(np.pi / 6), 0)
+        np.testing.assert_allclose(length, inside, rtol=1e-9, atol=1e-15)
+        crossing = (np.stack(point, axis=1) + offset) @ principal.T + centre
+        right = np.stack([x, 0 * x, -depth / 2], axis=1)
+        np.testing.assert_allclose(crossing[touches], right[touches], atol=1e-9)
 
 
 @pytest.mark.long
