@@ -141,17 +141,18 @@ def find_inactive_keys(scene: BaseModel, keys: Iterable[str] | None = None) -> I
         key for row in ALTERNATIVES if given and row.overriding_key in given for key in row.keys
     } - (given or set())
     for row in OVERRIDES:
-        if row.overriding_key in replaced or not row.holds(
-            _find_value(scene, row.overriding_key)[0]
+        concerned = [
+            key for key in row.keys if given is None or any(_is_within(own, key) for own in given)
+        ]
+        if (
+            not concerned
+            or row.overriding_key in replaced
+            or not row.holds(_find_value(scene, row.overriding_key)[0])
         ):
             continue
-        for key in row.keys:
+        for key in concerned:
             item, said = _find_value(scene, key)
-            is_set = (
-                item != _default_value(scene, key)
-                if said and given is None
-                else any(_is_within(own, key) for own in given or ())
-            )
+            is_set = given is not None or said and item != _default_value(scene, key)
             if item is not None and is_set:
                 shown = "" if isinstance(item, BaseModel) else f" = {format_value(item)}"
                 yield f"{key}{shown}: cannot act {row.why}; allowed: to leave it out"

@@ -82,8 +82,7 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _is_of_this_world(self) -> Self:
-        for key in type(self).model_fields:
-            item = getattr(self, key)
+        for key, item in self.__dict__.items():  # its fields
             if isinstance(item, float) and 0 < abs(item) < 1 / LARGEST_NUMBER:
                 raise ValueError(f"{key} = {item:.3g}: allowed: {ALLOWED_NUMBERS}")
             for number in _iterate_numbers(item):
