@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from dem_jax import assembly, xla_flags
-from dem_jax.assembly import bucket_fill, precision_check, sampling_check
+from dem_jax.assembly import bucket_fill, precision_check, sampling_check, stiffness_check
 from dem_jax.assembly.dtype_cast import put_array
 from dem_jax.assembly.ensemble_capacity import (
     EnsembleCapacity,
@@ -160,6 +160,7 @@ def _list_notes(
         longest.step.warning,
         sampling_check.note_coarse_sampling(scene.run.sample_interval, shortest),
         precision,
+        stiffness_check.note_stiff_mixture(scene),
         *times,
         *overfull,
     )

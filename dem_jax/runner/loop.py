@@ -35,6 +35,8 @@ def run_loop(job: Job, target: Sink, progress: bool | ProgressCallback) -> None:
 
 def _run_chunks(job: Job, target: Sink, shown: Progress) -> None:
     notes, reruns = list(job.notes), list(job.reruns)
+    for note in notes:
+        shown.show_note(note)
     for span in iterate_chunks(job, shown):
         if span.failed:
             _stop_run(job, target, span, span.failed)

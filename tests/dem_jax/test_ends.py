@@ -22,10 +22,10 @@ import pytest
 from dem_jax import process, xla_flags
 from dem_jax.__main__ import main
 from dem_jax.cluster import compile_cache
-from dem_jax.errors import PlatformError, RecordError
+from dem_jax.errors import PlatformError, RecordError, SimulationError
 from dem_jax.io import atomic_files
 from dem_jax.io.run_files import Writer, load_run
-from dem_jax.runner import programs, sinks
+from dem_jax.runner import loop, programs, sinks
 from dem_jax.runner.chunk_result import ChunkResult
 from dem_jax.runner.job_setup import prepare_job
 from dem_jax.runner.progress import Progress
@@ -556,3 +556,15 @@ def test_a_program_that_is_not_kept_is_freed():
     del function, compiled
     gc.collect()
     assert gone() is None
+
+
+def test_notes_on_a_scene_are_shown_before_its_first_step(monkeypatch):
+    def stop(*_):
+        raise SimulationError("before the first step")
+
+    shown = []
+    monkeypatch.setattr(loop, "iterate_chunks", stop)
+    job = SimpleNamespace(notes=("a bucket is overfull",), reruns=())
+    with pytest.raises(SimulationError):
+        loop._run_chunks(job, None, SimpleNamespace(show_note=shown.append))
+    assert shown == ["a bucket is overfull"]
