@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from dem_jax.scene import Scene
 
 BASE_SCENE = "weigh-bucket"
-PRODUCT_SECTIONS = {"portion", "material", "pair"}  # of a file that is a product and no scene
 LEAST_DROPS, MOST_DROPS = 4, 100_000
 SAMPLE = 30e-6  # s
 SLUMP = 0.05  # s that a heap slumps for
@@ -255,6 +254,8 @@ def load_product_scene(request: ProductRequest) -> "Scene":
 
 def _is_scene(product: str) -> bool:
     """Whether a product is a TOML file of a whole scene. Raises `BadInput` where it cannot be read."""
+    from dem_jax.scene.library import PRODUCT_SECTIONS
+
     if not product.endswith(".toml"):
         return False
     try:
@@ -265,7 +266,7 @@ def _is_scene(product: str) -> bool:
         raise BadInput(
             f"product = {product}: not valid TOML ({str(error).splitlines()[0]})"
         ) from None
-    return not set(tree) <= PRODUCT_SECTIONS
+    return not set(tree) <= set(PRODUCT_SECTIONS)
 
 
 def _bucket_changes(bucket: str | None) -> dict[str, Any]:

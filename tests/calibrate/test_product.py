@@ -163,6 +163,18 @@ def test_the_scene_of_a_product():
     # g
 
 
+def test_a_product_file_may_have_all_sections_of_one(tmp_path):
+    """Those that `dem-jax list products marshmallow-soft` prints: also [contact] and [evidence]."""
+    from dem_jax.scene.library import PRODUCTS
+
+    text = (PRODUCTS / "marshmallow-soft.toml").read_text(encoding="utf-8")
+    path = tmp_path / "own.toml"
+    path.write_text(text, encoding="utf-8")
+    scene = load_product_scene(ProductRequest(str(path)))
+    assert "[contact]" in text and "[evidence." in text
+    assert scene.contact.law == "densifying" and scene.uncertain
+
+
 def test_a_file_is_a_product_or_a_whole_scene(tmp_path):
     (tmp_path / "ball.toml").write_text(
         '[portion]\nshape = "sphere"\nradius = 0.01\n[material]\ndensity = 500.0\n'
