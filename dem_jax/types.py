@@ -246,8 +246,7 @@ class Plates(PytreeBase):
     directions: tuple[Array, Array]  # [k, W] x 2: unit, of each edge
     lengths: Array  # [k, W] (m)
     half_thickness: Array  # [W] (m)
-    seams: tuple[Array, Array] | None  # [k, W] x 2 (m): from where to where along each edge other
-    # panels continue this one; an edge without a seam ends before it begins
+    seams: Array | None  # [k, W]: 1 for an edge at which another panel continues this one, else 0
 
 
 @pytree

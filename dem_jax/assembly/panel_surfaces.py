@@ -26,7 +26,6 @@ FINEST = 0.004  # (rad) smallest angle between the normals of such neighbours; i
 MOST_PLANES = 48  # largest number of such neighbours of a panel; with more, a coarser selection is
 # stored
 NEAREST = 16  # number of nearest ones that stay in place if others are omitted
-SEAM_GAP = 1e-4  # of an edge: neighbours further apart along it leave a gap between their seams
 ROUNDS = 20  # iterations in which the others are moved inwards
 STEEPEST = 0.2  # cosine of the angle to the panel, up to which planes are moved
 BEHIND = 1e-3  # of the reach: depth behind a panel of a point inside its solid
@@ -39,8 +38,6 @@ class PanelSeams(NamedTuple):
     """Seams at which other panels continue a panel, in its own frame, about its own centre."""
 
     across: np.ndarray  # [m, 3] outward unit directions, in its plane, across each seam
-    ends: np.ndarray  # [m, 2, 3] (m) where each seam begins and ends; [0, 2, 3] if panels of any
-    # surface meet at an angle, as contacts with spheres do not depend on them then
     openness: np.ndarray  # [m] degree to which the seam is an edge of the surface: 0 for flat and
     # concave seams, 1 for convex ones
     planes: np.ndarray  # [k, 4] outward normals and offsets (m) of the neighbours beyond convex
@@ -56,11 +53,10 @@ class PanelSeams(NamedTuple):
         """
         normals, offsets = self.planes[:, :3], self.planes[:, 3]
         planes = np.c_[normals @ turn, offsets - normals @ origin]
-        ends = (self.ends - origin) @ turn
-        return self._replace(across=self.across @ turn, ends=ends, planes=planes)
+        return self._replace(across=self.across @ turn, planes=planes)
 
 
-NO_SEAMS = PanelSeams(np.zeros((0, 3)), np.zeros((0, 2, 3)), np.zeros(0), np.zeros((0, 4)), False)
+NO_SEAMS = PanelSeams(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 4)), False)
 
 
 class PanelSurfaces(NamedTuple):
@@ -129,8 +125,7 @@ def _group_coplanar_panels(
     for i in (int(i) for group in members for i in group if any(beyond[i])):
         flag = [bool(edge) for edge in beyond[i]]
         across = _outward_directions(panels[i][1], normals[i])[flag]
-        ends = _seam_ends(panels[i][1], [[panels[j][1] for j in edge] for edge in beyond[i]])
-        seams[i] = NO_SEAMS._replace(across=across, ends=ends, openness=np.zeros(len(across)))
+        seams[i] = NO_SEAMS._replace(across=across, openness=np.zeros(len(across)))
         found = [k for k, first in enumerate(known) if _are_coplanar(panels, normals, first, i)]
         number[i] = found[0] if found else len(known)
         known += [] if found else [i]
@@ -154,46 +149,6 @@ def _outward_directions(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return out / np.linalg.norm(out, axis=1, keepdims=True)
 
 
-def _seam_ends(corners: np.ndarray, beyond: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
-    """Where the edges of a panel [k, 3] (m) that others continue are seams: ends [m, 2, 3] (m) of
-    the longest stretch along which they do without a gap.
-
-    beyond: corners [., 3] (m) of the panels beyond each edge.
-    """
-    ends = []
-    for start, end, others in zip(corners, next_corners(corners), beyond, strict=True):
-        if not others:
-            continue
-        length = float(np.linalg.norm(end - start))
-        along, near = (end - start) / length, SEAM_GAP * length
-        stretches: list[list[float]] = []
-        for low, high in sorted(_stretch(points, start, along, near) for points in others):
-            if stretches and low <= stretches[-1][1] + near:
-                stretches[-1][1] = max(stretches[-1][1], high)
-            else:
-                stretches.append([low, high])
-        low, high = max(stretches, key=lambda ends: ends[1] - ends[0])
-        ends.append(
-            [
-                start if low <= near else start + low * along,
-                end if high >= length - near else start + high * along,
-            ]
-        )
-    return np.array(ends).reshape(-1, 2, 3)
-
-
-def _stretch(
-    points: np.ndarray, start: np.ndarray, along: np.ndarray, near: float
-) -> tuple[float, float]:
-    """The stretch (m) of the line from start along a direction, on which the points [k, 3] nearest
-    to it lie.
-    """
-    way = (points - start) @ along
-    aside = np.linalg.norm(points - start - way[:, None] * along, axis=1)
-    way = way[aside <= np.sort(aside)[1] + near]
-    return float(way.min()), float(way.max())
-
-
 # --- smooth surfaces of facets ---
 
 
@@ -210,13 +165,7 @@ def _group_smooth_panels(
         planes = _find_planes_beyond(corners, normals, beyond, i, REACH * piece_radius)
         is_bent = any(abs(bend) > FLAT_BEND for bend in bends)
         seams.append(
-            PanelSeams(
-                _outward_directions(corners[i], normals[i])[flag],
-                NO_SEAMS.ends,
-                openness,
-                planes,
-                is_bent,
-            )
+            PanelSeams(_outward_directions(corners[i], normals[i])[flag], openness, planes, is_bent)
         )
     return PanelSurfaces(seams, _label_surfaces(panels, normals, beyond), True)
 

@@ -15,11 +15,13 @@ from dem_jax.assembly.flap_drive_setup import build_flap_drives
 from dem_jax.assembly.hull_table import pad_rows
 from dem_jax.assembly.initial_conditions import Box
 from dem_jax.assembly.load_cell_setup import build_load_cell_model
+from dem_jax.assembly.panel_cuts import cut_at_ends_of_seams
 from dem_jax.assembly.panel_surfaces import NO_SEAMS, PanelSeams, count_surfaces, find_surfaces
 from dem_jax.assembly.stl_unit_check import check_stl_unit
 from dem_jax.errors import SceneError
 from dem_jax.math.loops import cross_product, loop_normal
 from dem_jax.scene import Bucket, Feeder, Motion, Region, Scene, Wall, bucket_geometry
+from dem_jax.scene.array_namespace import is_traced
 from dem_jax.scene.bucket_geometry import Panel
 from dem_jax.scene.cycle_timing import apply_cycle
 from dem_jax.scene.fill_level import find_mouth_middle
@@ -70,6 +72,8 @@ def lay_out_walls(
         motions.append(feeder.motion)
         blocks += [found[-1].block, feeder.block]
         regions.append((feeder.interior_low, feeder.interior_high))
+    if not any(is_traced(corners) for _, corners, _ in panels):
+        panels = cut_at_ends_of_seams(panels, smooth_angle(scene))
     known = {group for group, _, _ in panels}
     for row in motions:
         if row.group not in known:
@@ -333,37 +337,27 @@ def _build_plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -
     for corners, of in zip(outlines, seams or [NO_SEAMS] * len(panels), strict=True):
         edges = np.roll(corners, -1, axis=0) - corners
         lengths = np.linalg.norm(edges, axis=1, keepdims=True)
-        columns = [corners, edges / lengths, lengths, _seam_spans(corners, of)]
+        columns = [corners, edges / lengths, lengths, _find_seam_edges(corners, of)]
         rows.append(pad_rows(np.concatenate(columns, axis=1), most))
-    x, y, along_x, along_y, lengths, begin, end = (
-        np.array(rows, float).reshape(-1, most, 7).transpose(2, 1, 0)
+    x, y, along_x, along_y, lengths, seam = (
+        np.array(rows, float).reshape(-1, most, 6).transpose(2, 1, 0)
     )
     return Plates(
         corners=(as_array(x), as_array(y)),
         directions=(as_array(along_x), as_array(along_y)),
         lengths=as_array(lengths),
         half_thickness=as_array(np.array([shape.vertices[:, 2].max() for shape in panels], float)),
-        seams=(as_array(begin), as_array(end)) if seams else None,
+        seams=as_array(seam) if seams else None,
     )
 
 
-def _seam_spans(corners: np.ndarray, seams: PanelSeams) -> np.ndarray:
-    """From where to where along the edges of a panel [k, 2] (m) others continue it, [k, 2] (m); to
-    infinity where a seam reaches the end of its edge. seams: in the frame of the panel.
+def _find_seam_edges(corners: np.ndarray, seams: PanelSeams) -> np.ndarray:
+    """Whether other panels continue a panel with corners [k, 2] (m) at each edge, [k, 1]: 1 or 0;
+    seams: in the frame of the panel.
     """
     sides = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(sides, axis=1)
-    along = sides / lengths[:, None]
-    out = np.c_[along[:, 1], -along[:, 0]]
-    spans = np.tile([np.inf, -np.inf], (len(corners), 1))
-    for across, ends in zip(seams.across, seams.ends, strict=True):
-        edge = int(np.argmax(out @ across[:2]))
-        low, high = np.sort((ends[:, :2] - corners[edge]) @ along[edge])
-        near = 1e-9 * lengths[edge]
-        low = -np.inf if low < near else min(low, spans[edge, 0])
-        high = np.inf if high > lengths[edge] - near else max(high, spans[edge, 1])
-        spans[edge] = low, high
-    return spans
+    out = np.c_[sides[:, 1], -sides[:, 0]] / np.linalg.norm(sides, axis=1, keepdims=True)
+    return (out @ seams.across[:, :2].T > 1 - 1e-9).any(axis=1, keepdims=True).astype(float)
 
 
 def _build_panel(

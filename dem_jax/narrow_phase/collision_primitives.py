@@ -774,14 +774,12 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
         return found
     # Beside a seam, where another panel continues this one, the contact belongs to that panel;
     # beside a corner if one of the edges that meet there is a seam and the normal points across it.
-    begin, end = a.seams
     is_nearest = jnp.arange(aside.shape[0], dtype=nearest.dtype)[:, None] == nearest[None]
     is_corner = jnp.any(is_nearest & ((way <= 0) | (way >= a.lengths)), axis=0)
     meets = is_nearest | (is_corner[None] & (aside <= (1 + CORNER_TOLERANCE) * closest[None]))
     normal_x, normal_y, _ = found.normal
     across = normal_x[None] * along_y - normal_y[None] * along_x  # [k, P]
-    is_seam = (along >= begin) & (along <= end)
-    beyond_seam = jnp.any(meets & is_seam & (across > SEAM_SINE_TOLERANCE), axis=0)
+    beyond_seam = jnp.any(meets & (a.seams > 0) & (across > SEAM_SINE_TOLERANCE), axis=0)
     return found._replace(weight=jnp.where(beyond_seam, 0, 1).astype(radius.dtype))
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from dem_jax import assembly
+from dem_jax.assembly.panel_cuts import cut_at_ends_of_seams
 from dem_jax.broad_phase import overflow_recovery
 from dem_jax.dynamics import stepping
 from dem_jax.scene import Scene
@@ -199,6 +200,32 @@ def test_a_ball_does_not_fall_through_a_rim_beside_a_seam(whole, panels, error):
     assert np.asarray(before.position)[1, 0] > SIZE + 0.008 and peak > 0
     np.testing.assert_allclose(many.mean_force, one.mean_force, rtol=0, atol=error * peak)
     np.testing.assert_allclose(after.position, before.position, rtol=0, atol=error * 1e-3)
+
+
+def test_a_cuboid_feels_no_seam_where_it_has_ended(whole):
+    """Half over the rest of an edge that another panel continues in part it tips as over the rim of
+    one panel, with the same force; the tolerances are those of a seam.
+    """
+    _, before, one = whole(OVERHANGING)
+    _, after, many = run(TONGUE, OVERHANGING, 500)
+    peak = np.abs(one.force).max()
+    np.testing.assert_allclose(many.mean_force, one.mean_force, rtol=0, atol=1e-7 * peak)
+    np.testing.assert_allclose(after.position, before.position, rtol=0, atol=1e-11)
+
+
+def test_panels_are_cut_where_a_seam_ends_within_an_edge():
+    """A plate with a tongue on a part of one edge, beside a panel of another group: widths are those
+    of the parts, and nothing is left to be cut.
+    """
+    plates = [("a", np.array(corners), 0.02) for corners in TONGUE]
+    made = cut_at_ends_of_seams([*plates, ("b", plates[1][1], 0.01)], 0.3)
+    assert [name for name, *_ in made] == ["a", "a", "a", "b"]
+    widths = [float(np.ptp(corners[:, 0])) for _, corners, _ in made]
+    np.testing.assert_allclose(widths, [SIZE + 0.05, SIZE - 0.05, SIZE - 0.05, SIZE - 0.05])
+    assert [len(corners) for _, corners, _ in made] == [4, 4, 4, 4]
+    again = cut_at_ends_of_seams(made, 0.3)
+    assert all(np.array_equal(a[1], b[1]) for a, b in zip(made, again, strict=True))
+    assert len(cut_at_ends_of_seams([("a", np.array(c), 0.02) for c in FOUR], 0.3)) == 4
 
 
 def test_without_the_seams_two_panels_would_count_twice(whole):
