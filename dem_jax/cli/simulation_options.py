@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dem_jax import process
 from dem_jax.cli.arguments import Args, Parser, nonnegative_int
 from dem_jax.errors import RecordError, SceneError
 
@@ -105,7 +106,12 @@ def check_beside(out: Path, *endings: str) -> None:
 
 
 def finish_run(done: "Run", out: Path, args: Args) -> None:
-    """Draw the figure and print the summary."""
+    """Draw the figure and print the summary. An interrupt says that the results are whole."""
+    with process.save_on_interrupt(lambda: f"all results are in {out}"):
+        _finish_run(done, out, args)
+
+
+def _finish_run(done: "Run", out: Path, args: Args) -> None:
     from dem_jax.visualization.cycle_metrics import describe_cycles
     from dem_jax.visualization.summary import summarize_run
 

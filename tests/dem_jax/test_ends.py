@@ -21,6 +21,7 @@ import pytest
 
 from dem_jax import process, xla_flags
 from dem_jax.__main__ import main
+from dem_jax.cli import simulation_options
 from dem_jax.cluster import compile_cache
 from dem_jax.errors import PlatformError, RecordError, SimulationError
 from dem_jax.io import atomic_files
@@ -568,3 +569,16 @@ def test_notes_on_a_scene_are_shown_before_its_first_step(monkeypatch):
     with pytest.raises(SimulationError):
         loop._run_chunks(job, None, SimpleNamespace(show_note=shown.append))
     assert shown == ["a bucket is overfull"]
+
+
+def test_an_interrupt_after_the_last_sample_says_where_the_results_are(monkeypatch, tmp_path):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(process._STATE, "said", [])
+    monkeypatch.setattr("dem_jax.visualization.summary.summarize_run", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        simulation_options.finish_run(
+            SimpleNamespace(force={}), tmp_path / "drop.h5", SimpleNamespace(no_plot=True)
+        )
+    assert process.describe_interrupt().endswith(f"all results are in {tmp_path / 'drop.h5'}")
