@@ -36,6 +36,7 @@ from dem_jax.narrow_phase.feature_search import (
     outward_normals,
 )
 from dem_jax.narrow_phase.patch_moments import SecondMoments
+from dem_jax.narrow_phase.row_selection import k_smallest
 from dem_jax.narrow_phase.tied_axes import CandidateAxes
 from dem_jax.types import ActiveFeatures, Array, Hulls, SupportFaces, as_array
 
@@ -443,7 +444,8 @@ def edges_inside_where(
 
     def search_batch(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         left, found = carry
-        at = jax.lax.top_k(left.astype(jnp.float32), count)[1]
+        rest = jnp.where(left, 0, jnp.ones((), found.dtype))
+        at = k_smallest(rest[:, None], count)[0][:, 0]
         length, middle = edges_inside(
             left[at], hulls, *jax.tree.map(lambda x: x[at], (rows, rel, normal))
         )
