@@ -246,7 +246,9 @@ class Plates(PytreeBase):
     directions: tuple[Array, Array]  # [k, W] x 2: unit, of each edge
     lengths: Array  # [k, W] (m)
     half_thickness: Array  # [W] (m)
-    seams: Array | None  # [k, W]: 1 for an edge at which another panel continues this one, else 0
+    seams: tuple[Array, ...] | None  # [k, W] x 5: 1 for an edge at which
+    # another panel continues this one, else 0; the unit directions (x, y), or 0, in which the
+    # outline of that panel goes on from where the edge begins and from where it ends
 
 
 @pytree

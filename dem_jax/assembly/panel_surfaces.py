@@ -26,6 +26,7 @@ FINEST = 0.004  # (rad) smallest angle between the normals of such neighbours; i
 MOST_PLANES = 48  # largest number of such neighbours of a panel; with more, a coarser selection is
 # stored
 NEAREST = 16  # number of nearest ones that stay in place if others are omitted
+SAME_CORNER = 1e-3  # of a seam: corners of two panels at one end of it are no further apart
 ROUNDS = 20  # iterations in which the others are moved inwards
 STEEPEST = 0.2  # cosine of the angle to the panel, up to which planes are moved
 BEHIND = 1e-3  # of the reach: depth behind a panel of a point inside its solid
@@ -38,6 +39,10 @@ class PanelSeams(NamedTuple):
     """Seams at which other panels continue a panel, in its own frame, about its own centre."""
 
     across: np.ndarray  # [m, 3] outward unit directions, in its plane, across each seam
+    outline: (
+        np.ndarray
+    )  # [m, 2, 3] unit directions in which the outline of the panel beyond goes on
+    # from where each seam begins and ends, 0 where none does; [0, 2, 3] of bent surfaces
     openness: np.ndarray  # [m] degree to which the seam is an edge of the surface: 0 for flat and
     # concave seams, 1 for convex ones
     planes: np.ndarray  # [k, 4] outward normals and offsets (m) of the neighbours beyond convex
@@ -53,10 +58,10 @@ class PanelSeams(NamedTuple):
         """
         normals, offsets = self.planes[:, :3], self.planes[:, 3]
         planes = np.c_[normals @ turn, offsets - normals @ origin]
-        return self._replace(across=self.across @ turn, planes=planes)
+        return self._replace(across=self.across @ turn, outline=self.outline @ turn, planes=planes)
 
 
-NO_SEAMS = PanelSeams(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 4)), False)
+NO_SEAMS = PanelSeams(np.zeros((0, 3)), np.zeros((0, 2, 3)), np.zeros(0), np.zeros((0, 4)), False)
 
 
 class PanelSurfaces(NamedTuple):
@@ -125,7 +130,16 @@ def _group_coplanar_panels(
     for i in (int(i) for group in members for i in group if any(beyond[i])):
         flag = [bool(edge) for edge in beyond[i]]
         across = _outward_directions(panels[i][1], normals[i])[flag]
-        seams[i] = NO_SEAMS._replace(across=across, openness=np.zeros(len(across)))
+        outline = [
+            _outline_beyond(start, end, [np.asarray(panels[j][1], float) for j in edge])
+            for start, end, edge in zip(
+                np.asarray(panels[i][1], float), next_corners(panels[i][1]), beyond[i], strict=True
+            )
+            if edge
+        ]
+        seams[i] = NO_SEAMS._replace(
+            across=across, outline=np.array(outline), openness=np.zeros(len(across))
+        )
         found = [k for k, first in enumerate(known) if _are_coplanar(panels, normals, first, i)]
         number[i] = found[0] if found else len(known)
         known += [] if found else [i]
@@ -149,6 +163,22 @@ def _outward_directions(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return out / np.linalg.norm(out, axis=1, keepdims=True)
 
 
+def _outline_beyond(start: np.ndarray, end: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
+    """Unit directions [2, 3] in which the outlines of the panels [., 3] (m) beyond a seam go on from
+    its start and from its end, 0 where none has a corner.
+    """
+    near = SAME_CORNER * float(np.linalg.norm(end - start))
+    ways = np.zeros((2, 3))
+    for way, corner, step in zip(ways, (start, end), (1, -1), strict=True):
+        for points in others:
+            distance = np.linalg.norm(points - corner, axis=1)
+            k = int(np.argmin(distance))
+            if distance[k] <= near:
+                side = points[(k + step) % len(points)] - corner
+                way[:] = side / np.linalg.norm(side)
+    return ways
+
+
 # --- smooth surfaces of facets ---
 
 
@@ -165,7 +195,13 @@ def _group_smooth_panels(
         planes = _find_planes_beyond(corners, normals, beyond, i, REACH * piece_radius)
         is_bent = any(abs(bend) > FLAT_BEND for bend in bends)
         seams.append(
-            PanelSeams(_outward_directions(corners[i], normals[i])[flag], openness, planes, is_bent)
+            PanelSeams(
+                _outward_directions(corners[i], normals[i])[flag],
+                NO_SEAMS.outline,
+                openness,
+                planes,
+                is_bent,
+            )
         )
     return PanelSurfaces(seams, _label_surfaces(panels, normals, beyond), True)
 

@@ -339,25 +339,28 @@ def _build_plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -
         lengths = np.linalg.norm(edges, axis=1, keepdims=True)
         columns = [corners, edges / lengths, lengths, _find_seam_edges(corners, of)]
         rows.append(pad_rows(np.concatenate(columns, axis=1), most))
-    x, y, along_x, along_y, lengths, seam = (
-        np.array(rows, float).reshape(-1, most, 6).transpose(2, 1, 0)
+    x, y, along_x, along_y, lengths, *seam_rows = (
+        np.array(rows, float).reshape(-1, most, 10).transpose(2, 1, 0)
     )
     return Plates(
         corners=(as_array(x), as_array(y)),
         directions=(as_array(along_x), as_array(along_y)),
         lengths=as_array(lengths),
         half_thickness=as_array(np.array([shape.vertices[:, 2].max() for shape in panels], float)),
-        seams=as_array(seam) if seams else None,
+        seams=tuple(map(as_array, seam_rows)) if seams else None,
     )
 
 
 def _find_seam_edges(corners: np.ndarray, seams: PanelSeams) -> np.ndarray:
-    """Whether other panels continue a panel with corners [k, 2] (m) at each edge, [k, 1]: 1 or 0;
-    seams: in the frame of the panel.
+    """``Plates.seams`` of the edges of a panel with corners [k, 2] (m), [k, 5]; seams: in the frame of
+    the panel.
     """
     sides = np.roll(corners, -1, axis=0) - corners
     out = np.c_[sides[:, 1], -sides[:, 0]] / np.linalg.norm(sides, axis=1, keepdims=True)
-    return (out @ seams.across[:, :2].T > 1 - 1e-9).any(axis=1, keepdims=True).astype(float)
+    found = np.zeros((len(corners), 5))
+    for across, outline in zip(seams.across, seams.outline, strict=True):
+        found[np.argmax(out @ across[:2])] = [1.0, *outline[:, :2].ravel()]
+    return found
 
 
 def _build_panel(

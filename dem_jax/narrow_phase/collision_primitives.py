@@ -773,13 +773,16 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
     if a.seams is None:
         return found
     # Beside a seam, where another panel continues this one, the contact belongs to that panel;
-    # beside a corner if one of the edges that meet there is a seam and the normal points across it.
+    # beside a corner at the end of a seam if that panel, whose outline goes on there, is closer.
+    is_seam, begin_x, begin_y, end_x, end_y = a.seams
     is_nearest = jnp.arange(aside.shape[0], dtype=nearest.dtype)[:, None] == nearest[None]
-    is_corner = jnp.any(is_nearest & ((way <= 0) | (way >= a.lengths)), axis=0)
-    meets = is_nearest | (is_corner[None] & (aside <= (1 + CORNER_TOLERANCE) * closest[None]))
-    normal_x, normal_y, _ = found.normal
-    across = normal_x[None] * along_y - normal_y[None] * along_x  # [k, P]
-    beyond_seam = jnp.any(meets & (a.seams > 0) & (across > SEAM_SINE_TOLERANCE), axis=0)
+    is_corner = jnp.any(is_nearest & ((way <= 0) | (way >= a.lengths)), axis=0)[None]
+    meets = is_nearest | (is_corner & (aside <= (1 + CORNER_TOLERANCE) * closest[None]))
+    at_begin = along < 0.5 * a.lengths
+    beyond_x = jnp.where(is_corner, jnp.where(at_begin, begin_x, end_x), along_y)
+    beyond_y = jnp.where(is_corner, jnp.where(at_begin, begin_y, end_y), -along_x)
+    sine = found.normal[0][None] * beyond_x + found.normal[1][None] * beyond_y  # [k, P]
+    beyond_seam = jnp.any(meets & (is_seam > 0) & (sine > SEAM_SINE_TOLERANCE), axis=0)
     return found._replace(weight=jnp.where(beyond_seam, 0, 1).astype(radius.dtype))
 
 
