@@ -39,10 +39,8 @@ class PanelSeams(NamedTuple):
     """Seams at which other panels continue a panel, in its own frame, about its own centre."""
 
     across: np.ndarray  # [m, 3] outward unit directions, in its plane, across each seam
-    outline: (
-        np.ndarray
-    )  # [m, 2, 3] unit directions in which the outline of the panel beyond goes on
-    # from where each seam begins and ends, 0 where none does; [0, 2, 3] of bent surfaces
+    outline: np.ndarray  # [m, 2, 3] unit directions in which the outline of the panel beyond goes
+    # on from where each seam begins and ends, 0 where none does; [0, 2, 3] of bent surfaces
     openness: np.ndarray  # [m] degree to which the seam is an edge of the surface: 0 for flat and
     # concave seams, 1 for convex ones
     planes: np.ndarray  # [k, 4] outward normals and offsets (m) of the neighbours beyond convex

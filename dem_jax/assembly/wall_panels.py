@@ -337,7 +337,8 @@ def _build_plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -
     for corners, of in zip(outlines, seams or [NO_SEAMS] * len(panels), strict=True):
         edges = np.roll(corners, -1, axis=0) - corners
         lengths = np.linalg.norm(edges, axis=1, keepdims=True)
-        columns = [corners, edges / lengths, lengths, _find_seam_edges(corners, of)]
+        along = edges / lengths
+        columns = [corners, along, lengths, _find_seam_edges(along, of)]
         rows.append(pad_rows(np.concatenate(columns, axis=1), most))
     x, y, along_x, along_y, lengths, *seam_rows = (
         np.array(rows, float).reshape(-1, most, 10).transpose(2, 1, 0)
@@ -351,13 +352,12 @@ def _build_plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -
     )
 
 
-def _find_seam_edges(corners: np.ndarray, seams: PanelSeams) -> np.ndarray:
-    """``Plates.seams`` of the edges of a panel with corners [k, 2] (m), [k, 5]; seams: in the frame of
-    the panel.
+def _find_seam_edges(along: np.ndarray, seams: PanelSeams) -> np.ndarray:
+    """``Plates.seams`` of the edges of a panel, [k, 5]; along: [k, 2] unit, of each edge; seams: in
+    the frame of the panel.
     """
-    sides = np.roll(corners, -1, axis=0) - corners
-    out = np.c_[sides[:, 1], -sides[:, 0]] / np.linalg.norm(sides, axis=1, keepdims=True)
-    found = np.zeros((len(corners), 5))
+    out = np.c_[along[:, 1], -along[:, 0]]
+    found = np.zeros((len(along), 5))
     for across, outline in zip(seams.across, seams.outline, strict=True):
         found[np.argmax(out @ across[:2])] = [1.0, *outline[:, :2].ravel()]
     return found

@@ -354,9 +354,8 @@ def edges_inside(
     planes = hulls.features.part_planes[..., both[::-1]]  # [4, F, 2, P]
     together = min(PLANES_AT_ONCE, planes.shape[1])
     counts = hulls.features.counts[3][both]
-    within_reach = which[None, None] & _are_faces_within_reach(
-        hulls, both, rel, normal
-    )  # [F, 2, P]
+    # [F, 2, P]
+    within_reach = which[None, None] & _are_faces_within_reach(hulls, both, rel, normal)
 
     def add_face(face: Array, total: tuple[Array, Vector]) -> tuple[Array, Vector]:
         counted = within_reach[face] & (face < counts)
