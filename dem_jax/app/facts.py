@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dem_jax.app.card_store import recall_cards
 from dem_jax.errors import RecordError, SceneError
 
 MOST_POINTS = 1200  # of a curve on the page; each has the least and the largest sample of its span
@@ -128,9 +129,17 @@ class BucketStlFacts(NamedTuple):
 
 def describe_products() -> list[ProductCard]:
     """The products of the library."""
+    return [
+        ProductCard(**{**card, "rows": [tuple(row) for row in card["rows"]]})
+        for card in recall_cards("product-cards", _compute_product_cards)
+    ]
+
+
+def _compute_product_cards() -> list[dict[str, Any]]:
     from dem_jax.scene import library
 
-    return [_describe_product(name, name, text) for name, text in library.list_products().items()]
+    found = library.list_products().items()
+    return [_describe_product(name, name, text)._asdict() for name, text in found]
 
 
 def describe_own_product(path: str, name: str) -> ProductCard:

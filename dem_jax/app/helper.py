@@ -5,13 +5,15 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
 from typing import Any
 
 from dem_jax.app import facts
 from dem_jax.errors import RecordError
+
+Answer = Future[tuple[Any, str]]  # the result, or None and why there is none
 
 
 class Helper:
@@ -26,23 +28,29 @@ class Helper:
 
     async def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """The result of a function of ``facts``. Raises RecordError with the reason in one line."""
-        loop = asyncio.get_running_loop()
-        pool = self._pool = self._pool or self._start()
+        return await self.receive(self.submit(function, *arguments))
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Answer:
+        """Let it compute a function of ``facts``; ``receive`` waits for the answer."""
+        self._pool = self._pool or self._start()
         try:
-            result, reason = await loop.run_in_executor(
-                pool, facts.call_safely, function, *arguments
-            )
+            return self._pool.submit(facts.call_safely, function, *arguments)
+        except BrokenProcessPool:  # it has ended since
+            self._pool = self._start()
+            return self._pool.submit(facts.call_safely, function, *arguments)
+
+    async def receive(self, answer: Answer) -> Any:
+        """The result of a function that was submitted. Raises RecordError with the reason in one
+        line.
+        """
+        try:
+            result, reason = await asyncio.wrap_future(answer)
         except BrokenProcessPool as error:
             self._pool = None
             raise RecordError("the process that reads files has ended; try again") from error
         if reason:
             raise RecordError(reason.replace(f"{self._root}/", "") if self._root else reason)
         return result
-
-    def prepare(self) -> None:
-        """Start the process."""
-        self._pool = self._pool or self._start()
-        self._pool.submit(facts.prepare)
 
     def close(self) -> None:
         """End the process, whatever it computes."""

@@ -12,7 +12,7 @@ from dem_jax.app import facts
 from dem_jax.app.design import Design, draws_numbers, name_program, name_run_command, read_design
 from dem_jax.app.facts import BucketCard, ProductCard
 from dem_jax.app.folder import Folder
-from dem_jax.app.helper import Helper
+from dem_jax.app.helper import Answer, Helper
 from dem_jax.app.jobs import Job, JobRunner
 from dem_jax.app.workers import Drop
 from dem_jax.errors import RecordError
@@ -32,13 +32,15 @@ class Workspace:
         self._expecting: asyncio.TimerHandle | None = None
         self._player = ""
         self._views: OrderedDict[str, str] = OrderedDict()
+        self._first_answer: Answer | None = None  # the library's cards
         self._products: list[ProductCard] = []
         self._buckets: list[BucketCard] = []
 
     def start(self) -> None:
         """Start the processes that wait: for the first drop of a person who changes nothing."""
         self.runner.expect(describe_drop(Design()))
-        self.helper.prepare()
+        self._first_answer = self.helper.submit(facts.describe_products)
+        self.helper.submit(facts.prepare)
 
     def expect(self, design: Design) -> None:
         """Have a process ready for the drop of a design, unless another is expected in a moment."""
@@ -69,7 +71,10 @@ class Workspace:
         ]
 
     async def _list_library(self) -> list[ProductCard]:
-        self._products = self._products or await self.helper.ask(facts.describe_products)
+        if not self._products:
+            answer = self._first_answer or self.helper.submit(facts.describe_products)
+            self._first_answer = None
+            self._products = await self.helper.receive(answer)
         return self._products
 
     async def describe_product(self, name: str) -> ProductCard:

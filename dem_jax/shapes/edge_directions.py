@@ -4,6 +4,8 @@ import numpy as np
 
 from dem_jax.math.loops import cross_product
 
+FEW_EDGES = 256  # which one group takes: scipy, which finds groups, takes half a second to load
+
 
 def find_edge_directions(vectors: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions [D, 3] of edges [E, 3] (m) and the index [E] of each edge's.
@@ -15,7 +17,10 @@ def find_edge_directions(vectors: np.ndarray, tolerance: float) -> tuple[np.ndar
     units = vectors / lengths[:, None]
     high = np.argmax(np.abs(units) > 0.5, axis=1)
     units = units * np.sign(np.take_along_axis(units, high[:, None], axis=1)) + 0.0
-    near = _group_directions(units, tolerance / lengths)
+    is_small = len(vectors) <= FEW_EDGES
+    near = (
+        np.zeros(len(vectors), int) if is_small else _group_directions(units, tolerance / lengths)
+    )
     seed_of = np.empty(len(vectors), int)
     left = np.argsort(-lengths, kind="stable")
     rank = np.argsort(left)

@@ -1,0 +1,47 @@
+"""File of the library's cards in the user's cache folder, as computing them takes longer than all else
+on the first page.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from dem_jax.io.atomic_files import replace_file
+
+PACKAGE = Path(__file__).parent.parent
+SOURCES = ("*.py", "*.toml", "*.stl")  # of the package; of these cards are made
+
+
+def recall_cards(name: str, compute: Callable[[], list[Any]]) -> list[Any]:
+    """Cards as plain data, from their file if it is of these sources, else computed and saved.
+
+    name: of the file. compute: returns data of the types of JSON.
+    """
+    folder = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    path = Path(folder) / "dem_jax" / f"{name}.json"
+    sources = hash_sources()
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        if kept["sources"] == sources:
+            return list(kept["cards"])
+    cards = compute()
+    with suppress(OSError):  # as of a user without a home, or on a full disk
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(path, json.dumps({"sources": sources, "cards": cards}).encode())
+    return cards
+
+
+def hash_sources() -> str:
+    """Hash of the files of the package and of the version of numpy."""
+    found = hashlib.sha256()
+    with suppress(PackageNotFoundError):
+        found.update(version("numpy").encode())
+    for path in sorted(path for kind in SOURCES for path in PACKAGE.rglob(kind)):
+        found.update(f"{path.relative_to(PACKAGE)}".encode())
+        found.update(path.read_bytes())
+    return found.hexdigest()
