@@ -339,7 +339,8 @@ def _reuse_initial_state(
     )
     moved = lambda: jax.tree.map(put_array, build_initial_motion(system, start, frames))
     motion = reuse.get("first motion", moved, (), (start, system.pieces))
-    return state.replace(step=put_array(np.int32(step)), motion=motion)
+    first = reuse.get("first step", lambda: put_array(np.int32(step)), (step,))
+    return state.replace(step=first, motion=motion)
 
 
 def inline_files(scene: Scene) -> Scene:

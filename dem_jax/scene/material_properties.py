@@ -10,7 +10,7 @@ from dem_jax.errors import SceneError
 from dem_jax.scene import bucket_geometry
 from dem_jax.scene.array_namespace import as_float_array, is_traced
 from dem_jax.scene.scene import Scene
-from dem_jax.scene.sections.material import DEFAULT_NAME, WALL_NAME, Material, NamedMaterial
+from dem_jax.scene.sections.material import DEFAULT_NAME, WALL_NAME, Material
 from dem_jax.scene.wall_surfaces import SURFACES
 
 
@@ -184,22 +184,22 @@ def _sort_names(names: Sequence[str | None]) -> list[str | None]:
     return sorted(dict.fromkeys(names), key=lambda name: name is not None)
 
 
+_OWN_KEYS = [f.name for f in fields(_MaterialRow) if f.name not in ("name", "is_wall")]
 _WALL_KEYS = {"youngs_modulus": "wall_youngs_modulus", "poisson_ratio": "wall_poisson_ratio"}
 
 
 def _fill_material(base: Material, name: str | None, is_wall: bool) -> _MaterialRow:
     """The material with the name, None: [material] itself, as pieces or as walls have it."""
-    own = NamedMaterial() if name is None else base.named_materials[name]
+    own = None if name is None else base.named_materials[name]
 
     def inherit_value(key: str, inherited: str | None = None) -> Any:
-        value = getattr(own, key)
+        value = None if own is None else getattr(own, key)
         return getattr(base, inherited or key) if value is None else value
 
-    keys = [field.name for field in fields(_MaterialRow) if field.name not in ("name", "is_wall")]
     return _MaterialRow(
         name=name or (WALL_NAME if is_wall else DEFAULT_NAME),
         is_wall=is_wall,
-        **{key: inherit_value(key, _WALL_KEYS.get(key) if is_wall else None) for key in keys},
+        **{key: inherit_value(key, _WALL_KEYS.get(key) if is_wall else None) for key in _OWN_KEYS},
     )
 
 
