@@ -17,7 +17,10 @@ HEADERS = (
     (b"x-content-type-options", b"nosniff"),
     (b"x-frame-options", b"SAMEORIGIN"),
     (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-resource-policy", b"same-origin"),
 )
+REFUSED = "Requests of other pages are refused."
+OWN_SITES = ("same-origin", "none")  # of Sec-Fetch-Site: a page of the server, or the person
 
 
 class AccessGuard:
@@ -71,7 +74,12 @@ class AccessGuard:
         origin = headers.get("origin")
         if origin is not None or scope["type"] == "websocket":
             if origin not in {f"http://{host}" for host in self._hosts}:
-                return 403, "Requests of other pages are refused."
+                return 403, REFUSED
+        # Cookies know no port: the pages of other servers on this machine send ours along, without
+        # an origin where they load a picture or a script.
+        is_own = headers.get("sec-fetch-site", "none") in OWN_SITES
+        if not is_own and headers.get("sec-fetch-dest") != "document":
+            return 403, REFUSED
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > self._largest:
             return 413, f"A request may have up to {self._largest} bytes."

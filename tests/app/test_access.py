@@ -91,6 +91,20 @@ def test_requests_of_other_origins_are_refused(origin):
     assert ask("websocket", origin=origin, cookie=COOKIE)[0]["type"] == "websocket.close"
 
 
+@pytest.mark.parametrize("site", ["same-site", "cross-site"])
+@pytest.mark.parametrize("dest", ["image", "script", "iframe", "empty", None])
+def test_what_pages_of_other_servers_load_is_refused_though_it_has_the_cookie(site, dest):
+    assert status(ask(sec_fetch_site=site, sec_fetch_dest=dest, cookie=COOKIE)) == 403
+
+
+def test_a_person_and_own_pages_may_load():
+    assert status(ask(sec_fetch_site="none", sec_fetch_dest="document", cookie=COOKIE)) == 200
+    assert status(ask(sec_fetch_site="same-origin", sec_fetch_dest="iframe", cookie=COOKIE)) == 200
+    link = {"sec_fetch_site": "cross-site", "sec_fetch_dest": "document"}  # as in a terminal's page
+    assert status(ask(query=f"token={TOKEN}", **link)) == 303
+    assert status(ask(**link)) == 401
+
+
 def test_a_socket_needs_origin_and_token():
     own = f"http://{HOST}"
     assert ask("websocket", cookie=COOKIE, origin=own)[0]["type"] == "websocket.accept"
@@ -109,4 +123,5 @@ def test_each_answer_forbids_frames_of_others_and_loads_nothing_from_elsewhere()
     for sent in (ask(cookie=COOKIE), ask()):
         headers = dict(sent[0]["headers"])
         assert headers[b"x-frame-options"] == b"SAMEORIGIN"
+        assert headers[b"cross-origin-resource-policy"] == b"same-origin"
         assert b"default-src 'self'" in headers[b"content-security-policy"]
