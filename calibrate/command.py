@@ -145,7 +145,10 @@ def use_cache() -> None:
     import jax
 
     if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        bases = (os.environ.get("XDG_CACHE_HOME", ""), os.path.expanduser("~/.cache"))
+        base = next(filter(os.path.isabs, bases), None)
+        if base is None:  # of a user without a home
+            return
         jax.config.update("jax_compilation_cache_dir", str(Path(base) / "calibrate" / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

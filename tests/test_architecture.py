@@ -15,7 +15,7 @@ import dem_jax
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "dem_jax"
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
-BASE = {"types", "errors", "xla_flags", "math", "process", "program_store"}
+BASE = {"types", "errors", "xla_flags", "math", "process", "program_store", "user_cache"}
 CORE = BASE | {
     "scene",
     "walls",
@@ -29,11 +29,12 @@ MAY_IMPORT = {  # package -> packages below it
     "errors": set(),
     "xla_flags": {"errors"},
     "program_store": set(),
+    "user_cache": set(),
     "process": set(),
     "deprecation": set(),
     "types": set(),
     "math": set(),
-    "shapes": {"errors", "math"},
+    "shapes": {"errors", "math", "user_cache"},
     "scene": {"errors", "deprecation", "math"},
     "walls": BASE | {"scene"},
     "contact_laws": BASE,
@@ -44,7 +45,7 @@ MAY_IMPORT = {  # package -> packages below it
     "io": BASE | {"deprecation", "dynamics", "scene"},
     "weighing": {"errors", "scene", "io"},
     "assembly": CORE | {"shapes", "deprecation"},
-    "cluster": {"errors", "xla_flags", "process", "program_store", "__version__"},
+    "cluster": {"errors", "xla_flags", "process", "program_store", "user_cache", "__version__"},
     "runner": CORE | {"assembly", "cluster", "io", "__version__"},
     "visualization": BASE | {"walls", "scene", "shapes", "assembly", "io", "weighing"},
     "study": BASE

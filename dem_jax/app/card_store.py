@@ -4,7 +4,6 @@ on the first page.
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dem_jax.io.atomic_files import replace_file
+from dem_jax.user_cache import find_user_cache
 
 PACKAGE = Path(__file__).parent.parent
 SOURCES = ("*.py", "*.toml", "*.stl")  # of the package; of these cards are made
@@ -22,15 +22,17 @@ def recall_cards(name: str, compute: Callable[[], list[Any]]) -> list[Any]:
 
     name: of the file. compute: returns data of the types of JSON.
     """
-    folder = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    path = Path(folder) / "dem_jax" / f"{name}.json"
+    folder = find_user_cache()
+    if folder is None:
+        return compute()
+    path = folder / f"{name}.json"
     sources = hash_sources()
     with suppress(OSError, ValueError, KeyError, TypeError):
         kept = json.loads(path.read_text(encoding="utf-8"))
         if kept["sources"] == sources:
             return list(kept["cards"])
     cards = compute()
-    with suppress(OSError):  # as of a user without a home, or on a full disk
+    with suppress(OSError):  # as on a full disk
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, json.dumps({"sources": sources, "cards": cards}).encode())
     return cards

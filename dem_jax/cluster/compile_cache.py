@@ -18,20 +18,22 @@ def use_cache() -> None:
     import jax
 
     from dem_jax import program_store
+    from dem_jax.user_cache import find_user_cache
 
     if not jax.config.jax_enable_compilation_cache:  # type: ignore[attr-defined]
         return
     if given := jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
         program_store.use_folder(Path(given) / "dem_jax")
         return
-    folder = (
-        Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "dem_jax" / "jax"
-    )
+    found = find_user_cache()
+    if found is None:
+        return
+    folder = found / "jax"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # such as of a user without a home
+    except OSError:  # such as in a home that cannot be written
         return
-    if not folder.is_absolute() or not os.access(folder, os.W_OK):
+    if not os.access(folder, os.W_OK):
         return
     program_store.use_folder(folder / "dem_jax")
     jax.config.update("jax_compilation_cache_dir", str(folder))

@@ -18,6 +18,7 @@ from typing import IO, Any
 
 from dem_jax import process
 from dem_jax.errors import RecordError
+from dem_jax.user_cache import find_user_cache
 
 FileName = str | os.PathLike[str]
 Fingerprint = tuple[int, int, int, int]  # device, inode, size (bytes), time of the last change (ns)
@@ -308,8 +309,8 @@ def _find_lock_folder() -> str:
 
 
 def _list_cache_folders() -> Iterator[str]:
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    if os.path.isabs(base):
-        yield base
+    found = find_user_cache()
+    if found is not None:
+        yield str(found.parent)
     user: Any = getattr(os, "getuid", lambda: "")()
     yield os.path.join(tempfile.gettempdir(), f"dem_jax-{user}")

@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from dem_jax.user_cache import find_user_cache
+
 FORMAT = 2  # of cached files; raised when the cut of the same mesh and settings changes
 
 
-def find_cache_folder() -> Path:
-    """The folder of kept decompositions: XDG_CACHE_HOME/dem_jax/parts, by default in ~/.cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dem_jax" / "parts"
+def find_cache_folder() -> Path | None:
+    """The folder of kept decompositions; None: the user has none."""
+    folder = find_user_cache()
+    return folder and folder / "parts"
 
 
 def make_cache_key(vertices: np.ndarray, faces: np.ndarray, settings: dict[str, Any]) -> str:
@@ -32,8 +35,11 @@ def make_cache_key(vertices: np.ndarray, faces: np.ndarray, settings: dict[str, 
 
 def load_arrays(key: str) -> dict[str, np.ndarray] | None:
     """The arrays cached under a key; None: there are none, or they cannot be read."""
+    folder = find_cache_folder()
+    if folder is None:
+        return None
     try:
-        with np.load(find_cache_folder() / f"{key}.npz") as kept:
+        with np.load(folder / f"{key}.npz") as kept:
             return dict(kept)
     except Exception:  # a file that is cut short or was written by something else trips numpy in
         # many ways
@@ -42,13 +48,16 @@ def load_arrays(key: str) -> dict[str, np.ndarray] | None:
 
 def store_arrays(key: str, arrays: dict[str, np.ndarray]) -> None:
     """Keep arrays under a key; where the folder cannot be written, nothing is kept."""
+    folder = find_cache_folder()
+    if folder is None:
+        return
     with suppress(OSError):
-        find_cache_folder().mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=find_cache_folder(), suffix=".part")
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=folder, suffix=".part")
         try:
             with os.fdopen(handle, "wb") as file:
                 np.savez(file, **arrays)  # type: ignore[arg-type]  # numpy's own names are not among the keys
-            os.replace(name, find_cache_folder() / f"{key}.npz")
+            os.replace(name, folder / f"{key}.npz")
         finally:
             with suppress(FileNotFoundError):
                 os.unlink(name)
