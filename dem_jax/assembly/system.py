@@ -5,6 +5,7 @@ contact slots.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -77,9 +78,9 @@ from dem_jax.dynamics import standard_quantities
 from dem_jax.errors import SceneError
 from dem_jax.scene import Motion, Scene
 from dem_jax.scene.bucket_geometry import Panel
-from dem_jax.scene.material_properties import build_material_table
+from dem_jax.scene.material_properties import MaterialTable, build_material_table
 from dem_jax.shapes import Shape
-from dem_jax.types import Array, Hulls, Parts, State, System, float_dtype
+from dem_jax.types import Array, Hulls, Parts, State, System, Walls, float_dtype
 from dem_jax.walls import motion
 
 WALL_SECTIONS = ("weigh_bucket", "feed_bucket", "feeder", "drop", "cycle")  # sections of a scene
@@ -133,8 +134,73 @@ def assemble_system(
         SceneError: the scene cannot be used.
     """
     reuse = reuse or AssemblyCache()
-    dtype = float_dtype(scene.run.precision)
     table = build_material_table(scene)
+    placed = _place_scene(scene, seed, table, reuse)
+    if law is not None:
+        accept_former_methods(law)
+    layout = Layout(placed.goods, placed.fixed, tuple(placed.blocks), scene.drop.height, law)
+    arrays = find_arrays(scene, layout, placed.motions, placed.start, table, reuse=reuse)
+    law = arrays.law
+    contacts = list_possible_contacts(law, arrays.materials, placed.shapes, arrays.pieces, reuse)
+    step = _choose_step(scene, law, contacts, placed.motions, placed.panels, len(placed.shapes))
+    settling, samples, frame_every = _find_run_lengths(scene, step)
+    bodies, arrays = _build_bodies(scene, placed, arrays, room, reuse)
+    reach = largest_interaction_range(law, contacts)
+    system = _build_system(scene, placed, bodies, arrays, step, reach, room, slot_block, reuse)
+    state = _reuse_initial_state(
+        system, bodies.start, bodies.frames, -settling, placed.waiting, reuse
+    )
+    check_finite(scene, system, state, reuse)
+    return AssembledSystem(
+        system=system,
+        state=state,
+        step=step,
+        shortest_contact_time=shortest_contact_time(law, contacts),
+        shapes=tuple(bodies.shapes),
+        frames=bodies.frames,
+        settling_steps=settling,
+        samples=samples,
+        frame_every=frame_every,
+        regions=placed.regions,
+        numbers=placed.goods.numbers,
+        piece_set=placed.goods,
+        exchange_plan=placed.plan,
+        waiting_places=bodies.waiting_places,
+        layout=layout,
+        start=placed.start,
+    )
+
+
+class _PlacedScene(NamedTuple):
+    """Pieces and walls of a scene where they begin.
+
+    shapes: of the pieces. waiting: number of last pieces that are outside the scene. blocks: boxes
+    that come in and go out. regions: see ``AssembledSystem``. fixed, plates, seams: see
+    ``build_panel_arrays``. largest: (m) bounding radius of a piece.
+    """
+
+    goods: PieceSet
+    shapes: list[Shape]
+    panels: Sequence[Panel]
+    motions: Sequence[Motion]
+    blocks: Sequence[Any]
+    regions: list[Box]
+    plan: ExchangePlan | None
+    waiting: int
+    start: InitialConditions
+    fixed: Walls
+    plates: list[Shape]
+    seams: list[PanelSeams] | None
+    largest: float
+
+
+def _place_scene(
+    scene: Scene, seed: int, table: MaterialTable, reuse: AssemblyCache
+) -> _PlacedScene:
+    """Build pieces and walls, and place the pieces. Raises SceneError."""
+    goods = reuse_piece_set(scene, table, reuse)
+    shapes = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # reused where only
+    # weights differ
     of_walls = (
         scene.wall,
         scene.motion,
@@ -142,82 +208,121 @@ def assemble_system(
         *(getattr(scene, name) for name in WALL_SECTIONS),
         scene.folder,
     )
-    goods = reuse_piece_set(scene, table, reuse)
-    own = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # reused where only
-    # weights differ
     laid = reuse.get("walls", lambda: lay_out_walls(scene), of_walls)
     panels, motions, joint, blocks, regions = laid
-    plan, waiting = (
-        plan_exchange(scene, panels, regions, own),
-        goods.numbers[-1] if scene.inlet else 0,
-    )
-    regions = list_start_boxes(scene, panels, regions, goods.numbers, own)
+    plan = plan_exchange(scene, panels, regions, shapes)
+    waiting = goods.numbers[-1] if scene.inlet else 0
+    regions = list_start_boxes(scene, panels, regions, goods.numbers, shapes)
     where = (scene.piece, scene.portion, scene.inlet, goods.numbers, seed)
     start = reuse.get(
         "start",
-        lambda: place_pieces(scene, own, goods.numbers, regions, np.random.default_rng(seed)),
+        lambda: place_pieces(scene, shapes, goods.numbers, regions, np.random.default_rng(seed)),
         where,
-        (own, laid),
+        (shapes, laid),
     )
-    largest = max(shape.bounding_radius for shape in own)
+    largest = max(shape.bounding_radius for shape in shapes)
     inputs = (table.names, table.is_wall.tolist(), scene.contact, scene.run.precision, largest)
+    dtype = float_dtype(scene.run.precision)
     fixed, plates, seams = reuse.get(
         "panels", lambda: build_panel_arrays(scene, panels, joint, dtype, largest), inputs, (laid,)
     )
-    if law is not None:
-        accept_former_methods(law)
-    layout = Layout(goods, fixed, tuple(blocks), scene.drop.height, law)
-    arrays = find_arrays(scene, layout, motions, start, table, reuse=reuse)
-    pieces, walls, law = arrays.pieces, arrays.walls, arrays.law
-    contacts = list_possible_contacts(law, arrays.materials, own, pieces, reuse)
-    step = _choose_step(scene, law, contacts, motions, panels, len(own))
-    settling, samples, frame_every = _find_run_lengths(scene, step)
-    domain = _find_domain(scene, panels, start.position[: len(own) - waiting], own, plan)
-    made, lot, filled = own, None, start
+    return _PlacedScene(
+        goods, shapes, panels, motions, blocks, regions, plan, waiting, start, fixed, plates, seams, largest
+    )  # fmt: skip
+
+
+class _Bodies(NamedTuple):
+    """Pieces as a System has them, with the padding of an ensemble.
+
+    shapes, frames, waiting_places: see ``AssembledSystem``. start: with the padding. parts, convex,
+    hulls, rows: see ``_build_hulls``.
+    """
+
+    shapes: list[Shape]
+    frames: np.ndarray
+    waiting_places: np.ndarray | None
+    start: InitialConditions
+    parts: Parts
+    convex: list[Shape]
+    hulls: Hulls | None
+    rows: Array
+
+    @property
+    def has_hulls(self) -> bool:
+        """Whether any piece is no sphere."""
+        return any(shape.radius == 0 for shape in self.shapes)
+
+
+def _build_bodies(
+    scene: Scene,
+    placed: _PlacedScene,
+    arrays: ParameterArrays,
+    room: EnsembleCapacity | None,
+    reuse: AssemblyCache,
+) -> tuple[_Bodies, ParameterArrays]:
+    """The pieces, padded to the capacity of an ensemble, and the arrays with the padding. Raises
+    SceneError.
+    """
+    shapes, lot, start = placed.shapes, None, placed.start
     if room is not None:
-        lot = find_waiting_places(panels, regions, largest, room.pieces - len(own))
-        made, pieces, filled = pad_pieces(scene, goods, start, lot, room, reuse)
+        padding = room.pieces - len(shapes)
+        lot = find_waiting_places(placed.panels, placed.regions, placed.largest, padding)
+        shapes, pieces, start = pad_pieces(scene, placed.goods, start, lot, room, reuse)
         arrays = replace(arrays, pieces=pieces)
-    parts, convex, hulls, shape_rows = reuse.get(
+    dtype = float_dtype(scene.run.precision)
+    parts, convex, hulls, rows = reuse.get(
         "hulls",
-        lambda: _build_hulls(made, plates, seams, dtype, room),
+        lambda: _build_hulls(shapes, placed.plates, placed.seams, dtype, room),
         (scene.run.precision, room),
-        (made, plates, seams),
+        (shapes, placed.plates, placed.seams),
     )
-    has_hulls = any(shape.radius == 0 for shape in made)
+    frames = np.array([shape.principal for shape in shapes])
+    bodies = _Bodies(shapes, frames, lot, start, parts, convex, hulls, rows)
     if room is not None and room.rounded:
-        of_class = extend_to_class(scene, law, arrays.materials, has_hulls)
-        arrays = replace(arrays, law=of_class[0], materials=of_class[1])
-    is_general = hulls is not None and hulls.features is not None
-    kept, slender = partial(reuse_array, reuse), has_slender_pieces(made)
-    system = System(
-        parts=parts,
-        hulls=hulls,
-        shape=shape_rows,
-        reach=kept("reach", largest_interaction_range(law, contacts), dtype),
+        law, materials = extend_to_class(scene, arrays.law, arrays.materials, bodies.has_hulls)
+        arrays = replace(arrays, law=law, materials=materials)
+    return bodies, arrays
+
+
+def _build_system(
+    scene: Scene,
+    placed: _PlacedScene,
+    bodies: _Bodies,
+    arrays: ParameterArrays,
+    step: TimeStep,
+    reach: float,
+    room: EnsembleCapacity | None,
+    slot_block: int,
+    reuse: AssemblyCache,
+) -> System:
+    """The system of pieces and walls. reach: (m) largest distance at which bodies interact. Raises
+    SceneError.
+    """
+    kept, dtype = partial(reuse_array, reuse), float_dtype(scene.run.precision)
+    own, panels, plan = placed.shapes, placed.panels, placed.plan
+    domain = _find_domain(
+        scene, panels, placed.start.position[: len(own) - placed.waiting], own, plan
+    )
+    skin = SKIN_FRACTION * arrays.pieces.width.min() + largest_fillet(arrays.walls, bodies.parts)
+    return System(
+        parts=bodies.parts,
+        hulls=bodies.hulls,
+        shape=bodies.rows,
+        reach=kept("reach", reach, dtype),
         dt=kept("dt", step.dt, dtype),
         resolved=kept("resolved", step.resolved, dtype),
         substeps=kept("substeps", step.substeps // step.parts, np.int32),
-        skin=kept("skin", SKIN_FRACTION * pieces.width.min() + largest_fillet(walls, parts), dtype),
+        skin=kept("skin", skin, dtype),
         domain_low=kept("domain_low", domain[0], dtype),
         domain_high=kept("domain_high", domain[1], dtype),
-        capacity=estimate_capacities(
-            len(parts.polytopes),
-            len(parts.spheres),
-            len(panels),
-            is_general,
-            parts.owner is not None,
-            slender,
-        ),
-        touching=estimate_contacts_per_piece(parts, len(panels), is_general, slender),
-        neighbours=scene.run.broad_phase,
-        row_capacity=estimate_row_capacity(convex, scene.run.broad_phase),
-        partition=estimate_partition(convex, scene.run.broad_phase, domain),
-        has_hulls=has_hulls,
-        alike=find_alike_kinds(goods) if room is None else room.alike,
-        present=None if room is None else kept("present", np.arange(len(made)) < len(own), bool),
+        **_estimate_room(scene, bodies, len(panels), domain),
+        has_hulls=bodies.has_hulls,
+        alike=find_alike_kinds(placed.goods) if room is None else room.alike,
+        present=None
+        if room is None
+        else kept("present", np.arange(len(bodies.shapes)) < len(own), bool),
         escape_stops=scene.run.on_escape == "stop",
-        has_rotation=has_hulls or _turns(arrays),
+        has_rotation=bodies.has_hulls or _turns(arrays),
         may_tie=len(scene.piece) > 1,
         ledger=scene.run.track_energy,
         statistics=build_collision_bins(scene, len(panels), dtype),
@@ -226,24 +331,40 @@ def assemble_system(
         slot_block=slot_block,
         exchanges=plan is not None,
         runs=1,
-        blocks=tuple(b.name for b in blocks),
+        blocks=tuple(b.name for b in placed.blocks),
         quantities=reuse.get(
             "quantities",
             lambda: standard_quantities.select_quantities(
-                walls, scene.statistics is not None, plan is not None
+                arrays.walls, scene.statistics is not None, plan is not None
             ),
             (),
-            (walls, plan),
+            (arrays.walls, plan),
         ),
         **arrays.system_fields(reuse),
     )
-    frames = np.array([m.principal for m in made])
-    state = _reuse_initial_state(system, filled, frames, -settling, waiting, reuse)
-    check_finite(scene, system, state, reuse)
-    return AssembledSystem(
-        system, state, step, shortest_contact_time(law, contacts), tuple(made), frames, settling, samples, frame_every,
-        regions, goods.numbers, goods, plan, lot, layout, start,
-    )  # fmt: skip
+
+
+def _estimate_room(
+    scene: Scene, bodies: _Bodies, panels: int, domain: tuple[np.ndarray, np.ndarray]
+) -> dict[str, Any]:
+    """The static sizes of a System: of its tables of contacts and neighbours. panels: number."""
+    parts, search = bodies.parts, scene.run.broad_phase
+    is_general = bodies.hulls is not None and bodies.hulls.features is not None
+    slender = has_slender_pieces(bodies.shapes)
+    return {
+        "capacity": estimate_capacities(
+            len(parts.polytopes),
+            len(parts.spheres),
+            panels,
+            is_general,
+            parts.owner is not None,
+            slender,
+        ),
+        "touching": estimate_contacts_per_piece(parts, panels, is_general, slender),
+        "neighbours": search,
+        "row_capacity": estimate_row_capacity(bodies.convex, search),
+        "partition": estimate_partition(bodies.convex, search, domain),
+    }
 
 
 def _turns(arrays: ParameterArrays) -> bool:
