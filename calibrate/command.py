@@ -5,7 +5,6 @@ compilation cache.
 import argparse
 import contextlib
 import json
-import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -144,11 +143,10 @@ def use_cache() -> None:
     """
     import jax
 
-    if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
-        bases = (os.environ.get("XDG_CACHE_HOME", ""), os.path.expanduser("~/.cache"))
-        base = next(filter(os.path.isabs, bases), None)
-        if base is None:  # of a user without a home
-            return
-        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "calibrate" / "jax"))
+    from dem_jax.user_cache import find_user_cache
+
+    folder = find_user_cache("calibrate")
+    if folder and not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
+        jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -4,11 +4,11 @@ import os
 from pathlib import Path
 
 
-def find_user_cache() -> Path | None:
-    """The folder ``dem_jax`` in XDG_CACHE_HOME, by default in ~/.cache, whether it exists or not;
+def find_user_cache(program: str = "dem_jax") -> Path | None:
+    """The folder of a program in XDG_CACHE_HOME, by default in ~/.cache, whether it exists or not;
     None: the user has no home, as in a container.
     """
     for base in (os.environ.get("XDG_CACHE_HOME", ""), os.path.expanduser("~/.cache")):
         if os.path.isabs(base):  # another one is to be ignored, says the XDG specification
-            return Path(base) / "dem_jax"
+            return Path(base) / program
     return None

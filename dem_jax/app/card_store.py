@@ -6,9 +6,10 @@ import hashlib
 import json
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from dem_jax.io.atomic_files import replace_file
 from dem_jax.user_cache import find_user_cache
@@ -40,9 +41,7 @@ def recall_cards(name: str, compute: Callable[[], list[Any]]) -> list[Any]:
 
 def hash_sources() -> str:
     """Hash of the files of the package and of the version of numpy."""
-    found = hashlib.sha256()
-    with suppress(PackageNotFoundError):
-        found.update(version("numpy").encode())
+    found = hashlib.sha256(np.__version__.encode())
     for path in sorted(path for kind in SOURCES for path in PACKAGE.rglob(kind)):
         found.update(f"{path.relative_to(PACKAGE)}".encode())
         found.update(path.read_bytes())

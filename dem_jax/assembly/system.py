@@ -176,7 +176,7 @@ class _PlacedScene(NamedTuple):
 
     shapes: of the pieces. waiting: number of last pieces that are outside the scene. blocks: boxes
     that come in and go out. regions: see ``AssembledSystem``. fixed, plates, seams: see
-    ``build_panel_arrays``. largest: (m) bounding radius of a piece.
+    ``build_panel_arrays``. largest: (m) bounding radius of a piece. domain: see ``_find_domain``.
     """
 
     goods: PieceSet
@@ -192,6 +192,7 @@ class _PlacedScene(NamedTuple):
     plates: list[Shape]
     seams: list[PanelSeams] | None
     largest: float
+    domain: tuple[np.ndarray, np.ndarray]
 
 
 def _place_scene(
@@ -226,16 +227,30 @@ def _place_scene(
     fixed, plates, seams = reuse.get(
         "panels", lambda: build_panel_arrays(scene, panels, joint, dtype, largest), inputs, (laid,)
     )
+    inside = start.position[: len(shapes) - waiting]
     return _PlacedScene(
-        goods, shapes, panels, motions, blocks, regions, plan, waiting, start, fixed, plates, seams, largest
-    )  # fmt: skip
+        goods=goods,
+        shapes=shapes,
+        panels=panels,
+        motions=motions,
+        blocks=blocks,
+        regions=regions,
+        plan=plan,
+        waiting=waiting,
+        start=start,
+        fixed=fixed,
+        plates=plates,
+        seams=seams,
+        largest=largest,
+        domain=_find_domain(scene, panels, inside, shapes, plan),
+    )
 
 
 class _Bodies(NamedTuple):
     """Pieces as a System has them, with the padding of an ensemble.
 
     shapes, frames, waiting_places: see ``AssembledSystem``. start: with the padding. parts, convex,
-    hulls, rows: see ``_build_hulls``.
+    hulls, rows: see ``_build_hulls``. has_hulls: whether any piece is no sphere.
     """
 
     shapes: list[Shape]
@@ -246,11 +261,7 @@ class _Bodies(NamedTuple):
     convex: list[Shape]
     hulls: Hulls | None
     rows: Array
-
-    @property
-    def has_hulls(self) -> bool:
-        """Whether any piece is no sphere."""
-        return any(shape.radius == 0 for shape in self.shapes)
+    has_hulls: bool
 
 
 def _build_bodies(
@@ -277,11 +288,11 @@ def _build_bodies(
         (shapes, placed.plates, placed.seams),
     )
     frames = np.array([shape.principal for shape in shapes])
-    bodies = _Bodies(shapes, frames, lot, start, parts, convex, hulls, rows)
+    has_hulls = any(shape.radius == 0 for shape in shapes)
     if room is not None and room.rounded:
-        law, materials = extend_to_class(scene, arrays.law, arrays.materials, bodies.has_hulls)
+        law, materials = extend_to_class(scene, arrays.law, arrays.materials, has_hulls)
         arrays = replace(arrays, law=law, materials=materials)
-    return bodies, arrays
+    return _Bodies(shapes, frames, lot, start, parts, convex, hulls, rows, has_hulls), arrays
 
 
 def _build_system(
@@ -299,10 +310,7 @@ def _build_system(
     SceneError.
     """
     kept, dtype = partial(reuse_array, reuse), float_dtype(scene.run.precision)
-    own, panels, plan = placed.shapes, placed.panels, placed.plan
-    domain = _find_domain(
-        scene, panels, placed.start.position[: len(own) - placed.waiting], own, plan
-    )
+    panels, plan, domain = placed.panels, placed.plan, placed.domain
     skin = SKIN_FRACTION * arrays.pieces.width.min() + largest_fillet(arrays.walls, bodies.parts)
     return System(
         parts=bodies.parts,
@@ -320,7 +328,7 @@ def _build_system(
         alike=find_alike_kinds(placed.goods) if room is None else room.alike,
         present=None
         if room is None
-        else kept("present", np.arange(len(bodies.shapes)) < len(own), bool),
+        else kept("present", np.arange(len(bodies.shapes)) < len(placed.shapes), bool),
         escape_stops=scene.run.on_escape == "stop",
         has_rotation=bodies.has_hulls or _turns(arrays),
         may_tie=len(scene.piece) > 1,

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from dem_jax.user_cache import find_user_cache
+
 
 def use_cache() -> None:
     """Keep compiled programs in the user's cache folder, so that a second start need not compile.
@@ -18,7 +20,6 @@ def use_cache() -> None:
     import jax
 
     from dem_jax import program_store
-    from dem_jax.user_cache import find_user_cache
 
     if not jax.config.jax_enable_compilation_cache:  # type: ignore[attr-defined]
         return

@@ -299,18 +299,12 @@ def _lock_descriptor(file: int, name: str) -> None:
 
 def _find_lock_folder() -> str:
     """The folder of locks. Raises OSError if it cannot be made."""
-    for base in _list_cache_folders():
-        folder = os.path.join(base, "dem_jax", "locks")
+    user: Any = getattr(os, "getuid", lambda: "")()
+    elsewhere = Path(tempfile.gettempdir(), f"dem_jax-{user}", "dem_jax")
+    for base in filter(None, (find_user_cache(), elsewhere)):
+        folder = str(base / "locks")
         with suppress(OSError):
             os.makedirs(folder, mode=0o700, exist_ok=True)
             if os.access(folder, os.W_OK):
                 return folder
     raise OSError(errno.ENOENT, "there is no folder for locks")
-
-
-def _list_cache_folders() -> Iterator[str]:
-    found = find_user_cache()
-    if found is not None:
-        yield str(found.parent)
-    user: Any = getattr(os, "getuid", lambda: "")()
-    yield os.path.join(tempfile.gettempdir(), f"dem_jax-{user}")

@@ -85,8 +85,6 @@ class Section(BaseModel):
         for key, item in self.__dict__.items():  # its fields
             if isinstance(item, float) and 0 < abs(item) < 1 / LARGEST_NUMBER:
                 raise ValueError(f"{key} = {item:.3g}: allowed: {ALLOWED_NUMBERS}")
-            if item is None or isinstance(item, str | bool | BaseModel):
-                continue
             for number in _iterate_numbers(item):
                 if abs(number) > LARGEST_NUMBER:
                     shown = (
