@@ -537,6 +537,9 @@ def call_safely(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str
 
 def prepare() -> None:
     """Import what the functions need, so that the first call is quick."""
-    import dem_jax.study.outputs  # noqa: F401
+    import dem_jax.study.outputs
     import dem_jax.visualization.summary
     import dem_jax.visualization.web_viewer  # noqa: F401
+    from dem_jax.cluster.compile_cache import use_cache
+
+    use_cache()

@@ -11,6 +11,7 @@ from multiprocessing.connection import wait
 from typing import Any
 
 from dem_jax.app import facts
+from dem_jax.app.launch import CONTEXT, end_other_processes
 from dem_jax.errors import RecordError
 
 Answer = Future[tuple[Any, str]]  # the result, or None and why there is none
@@ -55,15 +56,13 @@ class Helper:
     def close(self) -> None:
         """End the process, whatever it computes."""
         if self._pool is not None:
-            for child in multiprocessing.active_children():
-                child.terminate()
+            end_other_processes()
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
 
     @staticmethod
     def _start() -> ProcessPoolExecutor:
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(1, context, initializer=end_with_parent)
+        return ProcessPoolExecutor(1, CONTEXT, initializer=end_with_parent)
 
 
 def end_with_parent() -> None:

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from dem_jax.app.launch import CommandProcess
 from dem_jax.app.workers import Drop, Worker
 
 PROGRAMS = {"dem-jax": "dem_jax", "calibrate": "calibrate", "product-model": "product_model"}
@@ -40,7 +41,7 @@ class Job:
     errors: list[str] = field(default_factory=list)
     elapsed: float = 0.0
     drop: Drop | None = None
-    process: subprocess.Popen[bytes] | None = None
+    process: CommandProcess | None = None
 
     @property
     def command(self) -> str:
@@ -179,18 +180,22 @@ class JobRunner:
             job.state = "cancelled"
             job.errors.append("it had not begun")
 
-    def end_spare(self) -> None:
-        """End the process that waits."""
+    def end(self) -> None:
+        """End the process that waits, and let those of commands save what they have."""
         if self._spare is not None:
             self._spare.kill()
             self._spare = None
+        for job in self.jobs:
+            if job.process is not None and job.process.stdin is not None:
+                with suppress(OSError):
+                    job.process.stdin.close()
 
     async def close(self) -> None:
         """End all processes, and wait until they have ended; no job begins any more."""
         self._is_closed = True
         for job in self.jobs:
             self.cancel(job)
-        self.end_spare()
+        self.end()
         for process in [job.process for job in self.jobs if job.process is not None]:
             try:
                 await asyncio.to_thread(process.wait, TIME_TO_END)

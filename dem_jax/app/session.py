@@ -51,15 +51,15 @@ class Workspace:
         self._expecting = loop.call_later(PATIENCE, self.runner.expect, drop)
 
     async def close(self) -> None:
-        """End all processes, and wait for those of commands, which save what they have."""
+        """End all processes, and wait for those of commands."""
         if self._expecting is not None:
             self._expecting.cancel()
         await self.runner.close()
         self.end()
 
     def end(self) -> None:
-        """End the processes that wait."""
-        self.runner.end_spare()
+        """End the processes, and let those of commands save what they have."""
+        self.runner.end()
         self.helper.close()
 
     async def list_products(self) -> list[ProductCard]:

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 
 from dem_jax.app.folder import Folder
 from dem_jax.app.jobs import JobRunner
+from dem_jax.app.launch import import_ahead
 from dem_jax.errors import RecordError
 
 HOST = "127.0.0.1"
@@ -29,12 +30,12 @@ def start_app(folder: Folder, port: int, opens_browser: bool) -> None:
     if find_spec("nicegui") is None:
         raise RecordError("app: NiceGUI is missing; allowed: pip install 'product-impact[app]'")
     with listen(port) as listening:
-        runner = JobRunner(folder.root)
-        runner.expect(None)  # it imports beside this process
+        import_ahead()
         from dem_jax.app.session import Workspace
 
-        workspace = Workspace(folder, runner)
-        workspace.start()
+        workspace = Workspace(folder, JobRunner(folder.root))
+        starting = threading.Thread(target=workspace.start)  # it waits for the imports
+        starting.start()
         token = secrets.token_urlsafe(24)
         address = f"http://{HOST}:{listening.getsockname()[1]}/?token={token}"
         print(f"dem-jax app of {folder.root}\n{address}\nCtrl+C ends it.", flush=True)
@@ -43,8 +44,10 @@ def start_app(folder: Folder, port: int, opens_browser: bool) -> None:
         try:
             from dem_jax.app.server import serve
 
+            starting.join()
             serve(workspace, listening, token)
         finally:
+            starting.join()
             workspace.end()
 
 

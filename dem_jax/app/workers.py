@@ -4,13 +4,13 @@ import asyncio
 import json
 import os
 import re
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from dem_jax.app.launch import start_command_process
 
 READY = "dem_jax.cli.worker: ready"  # the answer of dem_jax/cli/worker.py to a preparation
 TakeLine = Callable[[str], object]  # takes a line of standard output
@@ -38,15 +38,7 @@ class Worker:
 
     def __init__(self, folder: Path) -> None:
         """folder: its working folder."""
-        pipe = subprocess.PIPE
-        self.process = subprocess.Popen(
-            (sys.executable, "-m", "dem_jax.cli.worker"),
-            stdin=pipe,
-            stdout=pipe,
-            stderr=pipe,
-            cwd=folder,
-            env={**os.environ, "PYTHONUNBUFFERED": "1", "MPLBACKEND": "Agg"},
-        )
+        self.process = start_command_process(folder)
         self._drop: Drop | None = None
         self._asked = self._answered = 0  # preparations
         self._take_line: TakeLine | None = None

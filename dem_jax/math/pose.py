@@ -21,9 +21,20 @@ def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
 
 
 def matrix_to_quaternion(matrix: ArrayLike) -> np.ndarray:
-    """Unit quaternions [..., 4] (w x y z, w >= 0) of rotation matrices [..., 3, 3]."""
-    from scipy.spatial.transform import Rotation
+    """Unit quaternions [..., 4] (w x y z, w >= 0) of rotation matrices [..., 3, 3].
 
-    matrices = np.asarray(matrix)
-    quaternions = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True)
-    return np.roll(quaternions, 1, axis=-1).reshape(*matrices.shape[:-2], 4)  # w first
+    Row c of the products is 4 q_c q; that of the largest component is taken (Shepperd 1978, J.
+    Guidance and Control 1, 223).
+    """
+    m = np.asarray(matrix, np.float64)
+    x, y, z = (m[..., k, j] - m[..., j, k] for j, k in ((1, 2), (2, 0), (0, 1)))
+    products = np.empty((*m.shape[:-2], 4, 4))
+    products[..., 1:, 1:] = m + np.swapaxes(m, -1, -2)
+    products[..., 0, 1:] = products[..., 1:, 0] = np.stack([x, y, z], -1)
+    diagonal, trace = np.diagonal(m, axis1=-2, axis2=-1), np.trace(m, axis1=-2, axis2=-1)
+    squares = np.concatenate([1 + trace[..., None], 1 - trace[..., None] + 2 * diagonal], -1)
+    products[..., range(4), range(4)] = squares
+    largest = np.argmax(squares, axis=-1)[..., None, None]
+    quaternion = np.take_along_axis(products, largest, axis=-2)[..., 0, :]
+    quaternion *= np.where(quaternion[..., :1] < 0, -1.0, 1.0)
+    return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from http.client import HTTPConnection
 from urllib.parse import urlsplit
 
@@ -211,8 +212,8 @@ def test_the_server_answers_when_it_says_where_and_leaves_no_process(tmp_path, n
         assert asked.getresponse().status == 303, "to the page without the token"
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.2", where.port), timeout=5)  # any other address
-        children = list_children(server.pid)
-        assert len(children) >= 2, "the helper, and the process of the next drop"
+        children = list_descendants(server.pid)
+        assert len(children) >= 3, "the helper, and the process of the next drop, and their parent"
     finally:
         server.send_signal(number)
         server.wait(30)
@@ -226,18 +227,16 @@ def test_the_server_answers_when_it_says_where_and_leaves_no_process(tmp_path, n
         assert (tmp_path / "said.txt").read_text() == ""
 
 
-def list_children(parent):
-    """Numbers of the processes that a process has started."""
-    found = []
+def list_descendants(ancestor):
+    """Numbers of the processes that a process has started, and of those that they have."""
+    parents = {}
     for name in filter(str.isdecimal, os.listdir("/proc")):
-        try:
-            with open(f"/proc/{name}/stat") as file:
-                of = int(file.read().rpartition(")")[2].split()[1])
-        except OSError:
-            continue
-        if of == parent:
-            found.append(name)
-    return found
+        with suppress(OSError), open(f"/proc/{name}/stat") as file:
+            parents[int(name)] = int(file.read().rpartition(")")[2].split()[1])
+    found = {ancestor}
+    while more := {child for child, of in parents.items() if of in found} - found:
+        found |= more
+    return found - {ancestor}
 
 
 def test_a_cancelled_drop_says_where_its_results_are(tmp_path):

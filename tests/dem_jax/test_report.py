@@ -8,7 +8,9 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -124,17 +126,25 @@ def test_names_are_written_as_text():
     )
 
 
-def test_what_cannot_be_is_said_in_one_line(monkeypatch):
+def test_what_cannot_be_is_said_in_one_line():
     with pytest.raises(RecordError, match=r"page\.txt must end in one of: \.html, \.pdf"):
         write_report(["a"], [stored()], "page.txt")
     with pytest.raises(RecordError, match="group = 'lf' is not in this run"):
         write_report(["a"], [stored()], "page.html", group="lf")
     with pytest.raises(RecordError, match="cannot be written: No such file"):
         write_report(["a"], [stored()], "nowhere/page.html")
-    monkeypatch.setattr(
-        "trimesh.viewer.notebook.scene_to_html", lambda scene: "<script>other()</script>"
-    )
-    with pytest.raises(RecordError, match=r"trimesh .* has no three\.js that a report can use"):
+
+
+@pytest.mark.parametrize("page", ["<script>other()</script>", None], ids=["other", "none"])
+def test_a_trimesh_whose_viewer_is_another_is_refused(monkeypatch, tmp_path, page):
+    templates = tmp_path / "trimesh" / "resources" / "templates"
+    templates.mkdir(parents=True)
+    if page is not None:
+        with ZipFile(templates / "viewer.zip", "w") as packed:
+            packed.writestr("viewer.html.template", page)
+    installed = ModuleSpec("trimesh", None, origin=str(tmp_path / "trimesh" / "__init__.py"))
+    monkeypatch.setattr("dem_jax.visualization.web_viewer.find_spec", lambda name: installed)
+    with pytest.raises(RecordError, match=r"trimesh has no three\.js that a report can use"):
         write_report(["a"], [stored()], "page.html")
 
 
