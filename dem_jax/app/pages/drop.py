@@ -28,38 +28,35 @@ async def show_drop(session: Session) -> None:
     has_ranges = _has_ranges(session)
     session.design = replace(session.design, uncertain=session.design.uncertain and has_ranges)
     parts.show_title("Drop", "Compute the drop, watch it, and read its numbers.")
+    page = _DropPage(session, find_field_errors(session.design, session.folder.root))
     with ui.element("section").classes("panel").props('aria-label="Compute"'):
         with ui.element("div").classes("line"):
-            runs = ui.toggle({n: WORDS[n] for n in RUN_COUNTS}, value=session.design.runs).props(
-                "no-caps unelevated"
-            )
-            runs.props('aria-label="Number of drops"')
-            seed = ui.number("First seed", value=session.design.seed, min=0, step=1, precision=0)
-            seed.props(
-                'outlined dense hint="Which arrangement of the pieces; of several drops each has the next."'
-            ).classes("seed")
-            drawn = ui.switch(DRAW_WORDS, value=session.design.uncertain)
-            start = ui.button("Drop", icon="play_arrow").props("no-caps unelevated")
+            _show_choices(session, has_ranges, page.show_command)
+            page.show_start()
         ui.label(_describe_design(session)).classes("small")
         ui.label(DRAW_HINT if has_ranges else NO_RANGES).classes("small")
-        if wrong := find_field_errors(session.design, session.folder.root):
-            parts.show_error(parts.describe_errors(wrong))
-        follow = parts.show_job(session, "drop", lambda job: finish(job), always=True)
-        command = ui.element("div")
+        page.show_progress()
     with ui.element("section").props('aria-label="Result"'):
-        head = ui.element("div")
-        with ui.element("div").classes("halves"):
-            with ui.element("div").classes("view"):
-                view = parts.show_view("drop-view", "The drop in 3-D")
-            chart = ui.element("div")
-        numbers = ui.element("div")
+        page.show_places()
+    job = session.jobs.get("drop")
+    if job is not None and not job.is_over:
+        page.show_command()
+        page.show_falling()
+    else:
+        await page.show_result()
 
-    def show_command() -> None:
-        command.clear()
-        with command:
-            job = session.jobs.get("drop")
-            shown = job.argv if job is not None and not job.is_over else session.next_command()
-            parts.show_command([shown], "The command of this drop")
+
+def _show_choices(session: Session, has_ranges: bool, refresh: Callable[[], None]) -> None:
+    """How many drops, the first seed, and whether unknown numbers are drawn."""
+    design = session.design
+    runs = ui.toggle({n: WORDS[n] for n in RUN_COUNTS}, value=design.runs)
+    runs.props('no-caps unelevated aria-label="Number of drops"')
+    seed = ui.number("First seed", value=design.seed, min=0, step=1, precision=0)
+    seed.props(
+        'outlined dense hint="Which arrangement of the pieces; of several drops each has the next."'
+    ).classes("seed")
+    drawn = ui.switch(DRAW_WORDS, value=design.uncertain)
+    drawn.set_enabled(has_ranges and design.runs > 1)
 
     def change() -> None:
         number = int(seed.value or 0)
@@ -67,55 +64,88 @@ async def show_drop(session: Session) -> None:
             session.design, runs=int(runs.value), seed=max(number, 0), uncertain=drawn.value
         )
         drawn.set_enabled(has_ranges and session.design.runs > 1)
-        show_command()
+        refresh()
 
-    async def begin() -> None:
-        try:
-            job, name = session.enter_drop()
-        except RecordError as error:
-            ui.notify(str(error), type="negative")
-            return
-        session.opened_jobs["drop"] = name
-        start.disable()
-        follow(job)
-        show_command()
-        show_falling()
+    for choice in (runs, seed, drawn):
+        choice.on_value_change(change)
 
-    def show_falling() -> None:
+
+class _DropPage:
+    """The parts of the page that change while a drop is computed."""
+
+    def __init__(self, session: Session, errors: dict[str, str]) -> None:
+        """errors: field -> why its value is impossible."""
+        self._session = session
+        self._errors = errors
+
+    def show_start(self) -> None:
+        """The button that begins."""
+        self._start = ui.button("Drop", icon="play_arrow", on_click=self._begin)
+        self._start.props("no-caps unelevated")
+        ui.timer(0.2, self._wake)
+
+    def show_progress(self) -> None:
+        """What hinders a drop, how far it is, and its command."""
+        if self._errors:
+            parts.show_error(parts.describe_errors(self._errors))
+        self._follow = parts.show_job(self._session, "drop", self._finish, always=True)
+        self._command = ui.element("div")
+
+    def show_places(self) -> None:
+        """Places of the result."""
+        head = ui.element("div")
+        with ui.element("div").classes("halves"):
+            with ui.element("div").classes("view"):
+                self._view = parts.show_view("drop-view", "The drop in 3-D")
+            self._chart = ui.element("div")
+        self._places = (head, self._chart, ui.element("div"))
+
+    def show_command(self) -> None:
+        """The command of the drop that is computed, else of the next one."""
+        self._command.clear()
+        with self._command:
+            job = self._session.jobs.get("drop")
+            is_running = job is not None and not job.is_over
+            shown = job.argv if job and is_running else self._session.next_command()
+            parts.show_command([shown], "The command of this drop")
+
+    def show_falling(self) -> None:
         """The drop that is computed, as far as it is."""
-        for each in (head, chart, numbers):
-            each.clear()
-        with chart:
+        for place in self._places:
+            place.clear()
+        with self._chart:
             ui.label("The pieces fall as they are computed; force and numbers follow.").classes(
                 "lead"
             )
-        parts.change_view(view, find_source(session.opened_jobs["drop"], 0) + "&plays")
+        source = find_source(self._session.opened_jobs["drop"], 0)
+        parts.change_view(self._view, f"{source}&plays")
 
-    async def finish(_: Job) -> None:
-        name = session.opened_jobs["drop"]
-        if session.folder.find_path(name).is_file():
-            session.shown, session.member = name, None
-        await show_result()
+    async def show_result(self) -> None:
+        """The file of results that is chosen."""
+        await _show_result(self._session, self._view, self._places, self.show_result)
+        self.show_command()
 
-    def wake() -> None:
-        job = session.jobs.get("drop")
-        start.set_enabled(not wrong and (job is None or job.is_over))
+    async def _begin(self) -> None:
+        try:
+            job, name = self._session.enter_drop()
+        except RecordError as error:
+            ui.notify(str(error), type="negative")
+            return
+        self._session.opened_jobs["drop"] = name
+        self._start.disable()
+        self._follow(job)
+        self.show_command()
+        self.show_falling()
 
-    async def show_result() -> None:
-        await _show_result(session, view, (head, chart, numbers), show_result)
-        show_command()
+    async def _finish(self, _: Job) -> None:
+        name = self._session.opened_jobs["drop"]
+        if self._session.folder.find_path(name).is_file():
+            self._session.shown, self._session.member = name, None
+        await self.show_result()
 
-    runs.on_value_change(change)
-    seed.on_value_change(change)
-    drawn.on_value_change(change)
-    drawn.set_enabled(has_ranges and session.design.runs > 1)
-    start.on_click(begin)
-    ui.timer(0.2, wake)
-    if "drop" in session.jobs and not session.jobs["drop"].is_over:
-        show_command()
-        show_falling()
-    else:
-        await show_result()
+    def _wake(self) -> None:
+        job = self._session.jobs.get("drop")
+        self._start.set_enabled(not self._errors and (job is None or job.is_over))
 
 
 def _has_ranges(session: Session) -> bool:
