@@ -51,7 +51,7 @@ MAY_IMPORT = {  # package -> packages below it
     "study": BASE
     | {"scene", "assembly", "dynamics", "cluster", "runner", "io", "visualization", "weighing"},
     "validation": CORE | {"assembly", "runner", "io"},
-    "app": BASE | {"scene", "shapes", "assembly", "io", "visualization", "study"},
+    "app": BASE | {"scene", "shapes", "assembly", "cluster", "io", "visualization", "study"},
     "cli": BASE
     | {
         "app",

@@ -6,13 +6,15 @@ import os
 import subprocess
 import sys
 import threading
+from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import IO, Any, Protocol
 
 FORKS = sys.platform == "linux"
 CONTEXT: Any = multiprocessing.get_context("forkserver" if FORKS else "spawn")
-CONTEXT.set_forkserver_preload(["dem_jax.app.preloaded"])
+CONTEXT.set_forkserver_preload(["dem_jax.cli.preloaded"])
+WORKER_MODULE = "dem_jax.cli.worker"
 WORKER = "dem_jax worker"  # name of the processes that run commands
 SETTINGS = {"PYTHONUNBUFFERED": "1", "MPLBACKEND": "Agg"}  # of their environment
 
@@ -56,7 +58,7 @@ def start_command_process(folder: Path) -> CommandProcess:
         return _ForkedProcess(folder)
     pipe = subprocess.PIPE
     return subprocess.Popen(
-        (sys.executable, "-m", "dem_jax.cli.worker"),
+        (sys.executable, "-m", WORKER_MODULE),
         stdin=pipe,
         stdout=pipe,
         stderr=pipe,
@@ -117,7 +119,7 @@ class _ForkedProcess:
 def _open_end(end: Connection, mode: str) -> IO[bytes]:
     """An end of a pipe as a file."""
     with end:
-        found: IO[bytes] = open(os.dup(end.fileno()), mode)
+        found: IO[bytes] = os.fdopen(os.dup(end.fileno()), mode)
     return found
 
 
@@ -137,6 +139,4 @@ def _run_worker(streams: tuple[Connection, ...], folder: Path, environment: dict
     )
     os.environ.update(environment)
     os.chdir(folder)
-    from dem_jax.cli import worker
-
-    sys.exit(worker.main())
+    sys.exit(import_module(WORKER_MODULE).main())

@@ -353,13 +353,10 @@ def _visible_box(
     if not plates:
         return np.stack([low, high])
     reach = 0.25 * np.linalg.norm(high - low)
-    instants = frames.time[:: max(1, len(frames.time) // 20)]
-    poses = wall_pose(instants)
-    found = [
-        _transform_body(plate, poses[group][0][k], poses[group][1][k]).vertices
-        for k in range(len(instants))
-        for group, plate in plates
-    ]
+    found = []
+    for t in frames.time[:: max(1, len(frames.time) // 20)]:
+        poses = wall_pose(float(t))
+        found += [_transform_body(plate, *poses[group]).vertices for group, plate in plates]
     corners = np.concatenate(found)
     low_wall, high_wall = corners.min(axis=0) - 1e-3 * reach, corners.max(axis=0) + 1e-3 * reach
     if np.linalg.norm(high_wall - low_wall) > 10.0 * reach:

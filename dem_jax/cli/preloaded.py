@@ -1,5 +1,5 @@
 """Modules that the app's processes begin with: imported once, in the process that they are forks of
-(``launch``). None of them starts a thread or a device of JAX, which no fork would have.
+(``dem_jax.app.launch``). None of them starts a thread or a device of JAX, which no fork would have.
 """
 
 import warnings
