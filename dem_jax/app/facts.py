@@ -372,6 +372,19 @@ def describe_shares(path: str) -> ShareFacts | None:
     return ShareFacts(UNCERTAINTY_TITLE, SHARES_CAPTION, lines, picture)
 
 
+def remove_empty_results(path: str) -> bool:
+    """Whether a file of results was removed, as its run was ended before it had computed a sample."""
+    from dem_jax.io.run_files import load_restart
+
+    try:
+        samples = load_restart(path)[2]
+    except RecordError:  # it is damaged, which the page says
+        return False
+    if samples == 0:
+        Path(path).unlink()
+    return samples == 0
+
+
 def _load(path: str) -> Any:
     """A file of results; the two that were read last are kept until they change."""
     found = Path(path).stat()

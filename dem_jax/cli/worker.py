@@ -19,6 +19,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 PROGRAMS = ("dem_jax", "calibrate", "product_model")
 READY = "dem_jax.cli.worker: ready"  # the answer to a preparation
 TIME_TO_LEAVE, TIME_TO_SAVE = 0.5, 8.0  # s, at most, without the app
@@ -28,6 +30,7 @@ def main() -> int:
     """Wait for a command, and run it; the exit code."""
     orders: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
     threading.Thread(target=_read_orders, args=(orders,), daemon=True).start()
+    tqdm.set_lock(threading.RLock())  # a semaphore of the system would outlive a killed process
     while (order := orders.get()) is not None:
         if "prepare" not in order:
             sys.argv = [order["program"], *order["argv"]]

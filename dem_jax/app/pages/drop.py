@@ -137,9 +137,12 @@ class _DropPage:
         self.show_command()
         self.show_falling()
 
-    async def _finish(self, _: Job) -> None:
+    async def _finish(self, job: Job) -> None:
         name = self._session.opened_jobs["drop"]
-        if self._session.folder.find_path(name).is_file():
+        path = self._session.folder.find_path(name)
+        if path.is_file() and job.state == "cancelled":
+            await self._session.workspace.helper.ask(facts.remove_empty_results, str(path))
+        if path.is_file():
             self._session.shown, self._session.member = name, None
         await self.show_result()
 

@@ -97,11 +97,19 @@ def _escape(text: str) -> str:
     )
 
 
+class _Slider(ui.slider):
+    """A slider whose value is set where it is dragged: an answer that comes late must not set it
+    back, as it would be while an arrow key is held.
+    """
+
+    LOOPBACK = False
+
+
 def show_slider(label: str, low: float, high: float, step: float, value: float) -> ui.slider:
     """A slider with its label before it and its value above its thumb."""
     with ui.element("div").classes("slider"):
         ui.label(label).classes("small")
-        slider = ui.slider(min=low, max=high, step=step, value=value)
+        slider = _Slider(min=low, max=high, step=step, value=value)
         slider.props("label-always").props["aria-label"] = label
     return slider
 
