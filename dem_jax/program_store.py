@@ -23,6 +23,8 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
+from dem_jax.user_cache import hash_files
+
 T = TypeVar("T")
 
 SOURCES = (
@@ -39,7 +41,7 @@ SOURCES = (
     "xla_flags.py",
 )  # packages and files that programs are made of
 KNOWN_MODULES = ("builtins", "numpy", "jax", "jaxlib", "functools")  # besides those
-MOST_FILES = 256  # in the folder; those that were used longest ago are removed
+MOST_FILES = 256  # of a kind in the folder
 _folder: Path | None = None
 
 
@@ -106,8 +108,11 @@ def load(name: str | None, read: Callable[[bytes], T]) -> T | None:
     return found
 
 
-def save(name: str | None, content: bytes) -> None:
-    """Write a file as a whole; nothing if that is impossible, as on a full disk."""
+def save(name: str | None, content: bytes, most: int = MOST_FILES) -> None:
+    """Write a file as a whole; nothing if that is impossible, as on a full disk.
+
+    most: files of its kind in the folder; those that were used longest ago are removed.
+    """
     if name is None or _folder is None:
         return
     path = _folder / name
@@ -116,7 +121,7 @@ def save(name: str | None, content: bytes) -> None:
         _folder.mkdir(parents=True, exist_ok=True)
         part.write_bytes(zlib.compress(content, 1))
         os.replace(part, path)
-        _remove_oldest(_folder)
+        _remove_oldest(_folder, name.partition("-")[0], most)
     except OSError:
         _remove(part)
 
@@ -187,14 +192,8 @@ def _describe_machine() -> tuple[str, ...]:
 
 def _hash_sources() -> str:
     here = Path(__file__).parent
-    files = [
-        path for name in SOURCES for path in sorted([*(here / name).rglob("*.py"), here / name])
-    ]
-    found = hashlib.sha256(Path(__file__).read_bytes())
-    for path in files:
-        if path.suffix == ".py":
-            found.update(path.read_bytes())
-    return found.hexdigest()
+    patterns = [name if name.endswith(".py") else f"{name}/**/*.py" for name in SOURCES]
+    return hash_files(here, "program_store.py", *patterns)
 
 
 def _name_processor() -> str:
@@ -214,9 +213,9 @@ def _hash(*texts: str) -> str:
     return found.hexdigest()[:32]
 
 
-def _remove_oldest(folder: Path) -> None:
-    files = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime)
-    for path in files[:-MOST_FILES]:
+def _remove_oldest(folder: Path, kind: str, most: int) -> None:
+    files = sorted(folder.glob(f"{kind}-*"), key=lambda path: path.stat().st_mtime)
+    for path in files[:-most]:
         _remove(path)
 
 

@@ -1,5 +1,6 @@
-"""The user's folder of results that can be computed again."""
+"""The user's folder of results that can be computed again, and of which sources they are."""
 
+import hashlib
 import os
 from pathlib import Path
 
@@ -12,3 +13,12 @@ def find_user_cache(program: str = "dem_jax") -> Path | None:
         if os.path.isabs(base):  # another one is to be ignored, says the XDG specification
             return Path(base) / program
     return None
+
+
+def hash_files(folder: Path, *patterns: str) -> str:
+    """Hash of the names and contents of files of a folder. patterns: as of ``Path.glob``."""
+    found = hashlib.sha256()
+    for path in sorted({path for pattern in patterns for path in folder.glob(pattern)}):
+        found.update(f"{path.relative_to(folder)}".encode())
+        found.update(path.read_bytes())
+    return found.hexdigest()

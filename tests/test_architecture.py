@@ -28,7 +28,7 @@ CORE = BASE | {
 MAY_IMPORT = {  # package -> packages below it
     "errors": set(),
     "xla_flags": {"errors"},
-    "program_store": set(),
+    "program_store": {"user_cache"},
     "user_cache": set(),
     "process": set(),
     "deprecation": set(),

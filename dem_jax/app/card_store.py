@@ -2,7 +2,6 @@
 on the first page.
 """
 
-import hashlib
 import json
 from collections.abc import Callable
 from contextlib import suppress
@@ -12,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from dem_jax.io.atomic_files import replace_file
-from dem_jax.user_cache import find_user_cache
+from dem_jax.user_cache import find_user_cache, hash_files
 
 PACKAGE = Path(__file__).parent.parent
-SOURCES = ("*.py", "*.toml", "*.stl")  # of the package; of these cards are made
+SOURCES = ("**/*.py", "**/*.toml", "**/*.stl")  # of the package; of these cards are made
 
 
 def recall_cards(name: str, compute: Callable[[], list[Any]]) -> list[Any]:
@@ -40,9 +39,5 @@ def recall_cards(name: str, compute: Callable[[], list[Any]]) -> list[Any]:
 
 
 def hash_sources() -> str:
-    """Hash of the files of the package and of the version of numpy."""
-    found = hashlib.sha256(np.__version__.encode())
-    for path in sorted(path for kind in SOURCES for path in PACKAGE.rglob(kind)):
-        found.update(f"{path.relative_to(PACKAGE)}".encode())
-        found.update(path.read_bytes())
-    return found.hexdigest()
+    """Hash of the files of the package, and the version of numpy."""
+    return f"{hash_files(PACKAGE, *SOURCES)} {np.__version__}"

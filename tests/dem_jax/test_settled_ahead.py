@@ -5,6 +5,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from dem_jax import program_store
 from dem_jax.errors import SceneError
 from dem_jax.runner import settled_ahead
 from dem_jax.runner.interface import run_job, simulate
@@ -43,6 +44,55 @@ def test_a_settled_run_has_the_bits_of_another(most):
     assert job.ahead[-1].end == 0 if most == 99 else len(job.ahead) == most
     assert_same_bits(run_job(job), simulate(scene, seed=5))
     assert not settled_ahead.take_job(scene, 5).ahead, "it was taken"
+
+
+@pytest.fixture
+def files(tmp_path):
+    """The folder of the store of programs, empty."""
+    before = program_store._folder
+    program_store.use_folder(tmp_path)
+    yield tmp_path
+    program_store.use_folder(before)
+
+
+def settle_from_file(monkeypatch, scene, seed):
+    """Settle without computing a chunk; the job."""
+    with monkeypatch.context() as changed:
+        changed.setattr(settled_ahead, "_settle", Mock(side_effect=AssertionError("computed")))
+        settled_ahead.settle_ahead(scene, seed, lambda: True)
+    return settled_ahead.take_job(scene, seed)
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_a_settled_portion_is_read_from_its_file(files, monkeypatch, precision):
+    """With the same bits, also under another name; that of another seed or height is not there."""
+    scene = SCENE.replace({"run.precision": precision})
+    settled_ahead.settle_ahead(scene, 5, lambda: True)
+    job = settle_from_file(monkeypatch, scene.replace({"name": "other"}), 5)
+    assert job.ahead[-1].end == 0
+    assert_same_bits(run_job(job), simulate(scene.replace({"name": "other"}), seed=5))
+    for changes, seed in (({}, 6), ({"drop.height": 0.3}, 5)):
+        with pytest.raises(AssertionError, match="computed"):
+            settle_from_file(monkeypatch, scene.replace(changes), seed)
+
+
+def test_a_damaged_file_is_computed_anew_and_the_oldest_are_removed(files, monkeypatch):
+    monkeypatch.setattr(settled_ahead, "MOST_FILES", 1)
+    program = files / "program-0"
+    program.touch()
+    settled_ahead.settle_ahead(SCENE, 5, lambda: True)
+    (path,) = files.glob("settled-*")
+    path.write_bytes(path.read_bytes()[:-100])
+    settled_ahead.settle_ahead(SCENE, 5, lambda: True)
+    assert settled_ahead.take_job(SCENE, 5).ahead[-1].end == 0
+    settled_ahead.settle_ahead(SCENE, 6, lambda: True)
+    assert len(list(files.glob("settled-*"))) == 1 and not path.exists()
+    assert program.exists(), "programs are counted by themselves"
+
+
+def test_a_portion_that_is_not_settled_leaves_no_file(files):
+    settled_ahead.settle_ahead(SCENE, 5, lambda: False)
+    assert not list(files.glob("settled-*"))
 
 
 def test_a_portion_at_rest_is_released_early():
