@@ -17,6 +17,7 @@ from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 
 COLOURS = ("#1d4ed8", "#c2410c", "#15803d", "#7e22ce", "#0e7490", "#a16207")
+LEAST_IMPACT = 0.1  # of the greatest force: a strong one
 
 
 def show_text(tag: str, text: str) -> ui.html:
@@ -284,7 +285,11 @@ def show_chart(
             if curve is not None:
                 series.append(_make_series(name, curve, axis, colour))
     names = [name for name, _, _ in curves]
-    options = _make_options(series, names, find_span([settled for _, _, settled in curves]))
+    options = _make_options(
+        series,
+        names,
+        find_span([force for _, force, _ in curves], [settled for _, _, settled in curves]),
+    )
     chart = ui.echart(options).classes("chart").style(f"height:{height}")
     chart.props(
         f'role=img aria-label="Force and settled mass over time: {_escape(", ".join(names))}"'
@@ -313,20 +318,35 @@ def _make_series(name: str, curve: Curve, axis: int, colour: str) -> dict[str, A
     }
 
 
-def find_span(curves: Sequence[Curve | None]) -> tuple[float, float] | None:
-    """The span (ms) in which settled masses change, with something around it; None: they do not."""
-    changes = [
+def find_span(
+    forces: Sequence[Curve | None], settled: Sequence[Curve | None]
+) -> tuple[float, float] | None:
+    """The span (ms) from the first strong impact to the greatest force and to the last change of a
+    settled mass, with something around it; None: nothing landed.
+    """
+    times = [
         time
-        for curve in curves
-        if curve is not None
+        for curve in filter(None, settled)
         for time, before, after in zip(curve.time[1:], curve.value, curve.value[1:], strict=False)
         if before != after
     ]
-    if not changes:
+    for curve in filter(None, forces):
+        greatest = max(curve.value, default=0.0)
+        strong = [
+            time
+            for time, value in zip(curve.time, curve.value, strict=True)
+            if value > LEAST_IMPACT * greatest
+        ]
+        if greatest > 0.0:
+            times += [strong[0], curve.time[curve.value.index(greatest)]]
+    if not times:
         return None
-    low, high = min(changes), max(changes)
+    low, high = min(times), max(times)
+    last = max(curve.time[-1] for curve in (*forces, *settled) if curve and curve.time)
     around = max(0.15 * (high - low), 10.0)
-    return 10.0 * (max(low - around, 0.0) // 10.0), 10.0 * ((high + around) // 10.0 + 1.0)
+    return 10.0 * (max(low - around, 0.0) // 10.0), min(
+        10.0 * ((high + around) // 10.0 + 1.0), last
+    )
 
 
 def _make_options(
