@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+Owner = TypeVar("Owner")
 
 
 class AssemblyCache:
@@ -13,6 +14,7 @@ class AssemblyCache:
 
     def __init__(self) -> None:
         self._kept: dict[str, tuple[tuple[Any, ...], tuple[Any, ...], Any]] = {}
+        self._of_owners: dict[tuple[str, int], tuple[Any, Any]] = {}
 
     def get(
         self,
@@ -34,6 +36,14 @@ class AssemblyCache:
             return known[2]
         found = make()
         self._kept[step] = values, objects, found
+        return found
+
+    def get_for(self, step: str, owner: Owner, make: Callable[[Owner], T]) -> T:
+        """Return the result of a step for each object that it was called with, such as a scene."""
+        known = self._of_owners.get((step, id(owner)))
+        if known is None:  # the owner is kept alive, so that its id stays its own
+            known = self._of_owners[step, id(owner)] = owner, make(owner)
+        found: T = known[1]
         return found
 
 

@@ -98,7 +98,8 @@ def _measure_scenes(scenes: Sequence[Scene], reuse: AssemblyCache) -> _MeasuredS
     """Measures of scenes; None if pieces come and go."""
     if any(scene.inlet or scene.outlet for scene in scenes):
         return None
-    goods = [reuse_piece_set(scene, build_material_table(scene), reuse) for scene in scenes]
+    tables = [reuse.get_for("materials", scene, build_material_table) for scene in scenes]
+    goods = [reuse_piece_set(*row, reuse) for row in zip(scenes, tables, strict=True)]
     counts = [len(each.shapes) for each in goods]
     shapes = max(_count_polytopes(each.shapes) for each in goods)
     alike = set.intersection(*(set(find_alike_kinds(each)) for each in goods))

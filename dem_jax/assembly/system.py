@@ -78,7 +78,7 @@ from dem_jax.dynamics import standard_quantities
 from dem_jax.errors import SceneError
 from dem_jax.scene import Motion, Scene
 from dem_jax.scene.bucket_geometry import Panel
-from dem_jax.scene.material_properties import MaterialTable, build_material_table
+from dem_jax.scene.material_properties import MaterialTable, build_material_table, find_group_rows
 from dem_jax.shapes import Shape
 from dem_jax.types import Array, Hulls, Parts, State, System, Walls, float_dtype
 from dem_jax.walls import motion
@@ -134,7 +134,7 @@ def assemble_system(
         SceneError: the scene cannot be used.
     """
     reuse = reuse or AssemblyCache()
-    table = build_material_table(scene)
+    table = reuse.get_for("materials", scene, build_material_table)
     placed = _place_scene(scene, seed, table, reuse)
     if law is not None:
         accept_former_methods(law)
@@ -214,18 +214,19 @@ def _place_scene(
     plan = plan_exchange(scene, panels, regions, shapes)
     waiting = goods.numbers[-1] if scene.inlet else 0
     regions = list_start_boxes(scene, panels, regions, goods.numbers, shapes)
-    where = (scene.piece, scene.portion, scene.inlet, goods.numbers, seed)
+    boxes = np.asarray(regions, float).tobytes()
     start = reuse.get(
         "start",
         lambda: place_pieces(scene, shapes, goods.numbers, regions, np.random.default_rng(seed)),
-        where,
-        (shapes, laid),
+        (scene.piece, scene.portion, scene.inlet, goods.numbers, seed, boxes),
+        (shapes,),
     )
     largest = max(shape.bounding_radius for shape in shapes)
-    inputs = (table.names, table.is_wall.tolist(), scene.contact, scene.run.precision, largest)
     dtype = float_dtype(scene.run.precision)
     fixed, plates, seams = reuse.get(
-        "panels", lambda: build_panel_arrays(scene, panels, joint, dtype, largest), inputs, (laid,)
+        "panels",
+        lambda: build_panel_arrays(scene, panels, joint, dtype, largest),
+        _describe_panels(scene, table, panels, joint, largest),
     )
     inside = start.position[: len(shapes) - waiting]
     return _PlacedScene(
@@ -244,6 +245,24 @@ def _place_scene(
         largest=largest,
         domain=_find_domain(scene, panels, inside, shapes, plan),
     )
+
+
+def _describe_panels(
+    scene: Scene,
+    table: MaterialTable,
+    panels: Sequence[Panel],
+    joint: dict[str, str],
+    largest: float,
+) -> tuple[Any, ...]:
+    """All that ``build_panel_arrays`` depends on, to be compared by value: walls that only move
+    otherwise are the same ones.
+    """
+    materials = find_group_rows(table, scene, list(dict.fromkeys(group for group, _, _ in panels)))
+    outlines = [
+        (group, np.asarray(corners, float).tobytes(), thickness)
+        for group, corners, thickness in panels
+    ]
+    return outlines, materials.tolist(), joint, scene.contact, scene.run.precision, largest
 
 
 class _Bodies(NamedTuple):

@@ -3,6 +3,7 @@ overrides them.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
@@ -168,14 +169,17 @@ def check_varied_keys(scene: BaseModel, keys: Iterable[str], source: str) -> Non
 
 def _find_value(tree: Any, key: str) -> tuple[Any, bool]:
     """The value of a dotted key in a tree or a scene, and whether there is that key."""
-    for part in key.split("."):
-        if isinstance(tree, BaseModel) and part in type(tree).model_fields:
-            tree = getattr(tree, part)
-        elif isinstance(tree, dict) and part in tree:
-            tree = tree[part]
-        else:
+    for part in _split_key(key):
+        below = tree.__dict__ if isinstance(tree, BaseModel) else tree  # of a section: its fields
+        if not isinstance(below, dict) or part not in below:
             return None, False
+        tree = below[part]
     return tree, True
+
+
+@lru_cache(1024)
+def _split_key(key: str) -> tuple[str, ...]:
+    return tuple(key.split("."))
 
 
 def _is_within(key: str, section: str) -> bool:

@@ -60,6 +60,9 @@ ALLOWED_NUMBERS = (
     f"numbers whose size is {1 / LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}, and 0 where that may be"
 )
 
+NUMBERS = float, int
+NUMBERS_OR_TUPLE = *NUMBERS, tuple
+
 
 class Section(BaseModel):
     """A table of a scene: unknown keys, wrong types and values that are not finite are errors."""
@@ -83,6 +86,8 @@ class Section(BaseModel):
     @model_validator(mode="after")
     def _is_of_this_world(self) -> Self:
         for key, item in self.__dict__.items():  # its fields
+            if not isinstance(item, NUMBERS_OR_TUPLE):
+                continue
             if isinstance(item, float) and 0 < abs(item) < 1 / LARGEST_NUMBER:
                 raise ValueError(f"{key} = {item:.3g}: allowed: {ALLOWED_NUMBERS}")
             for number in _iterate_numbers(item):
@@ -109,7 +114,7 @@ def check_needed(section: BaseModel, keys: Iterable[str], is_needed: bool, why: 
 
 def _iterate_numbers(item: Any) -> Iterator[float]:
     """Those in a value, however deep in tuples."""
-    if isinstance(item, float | int):
+    if isinstance(item, NUMBERS):
         yield item
     elif isinstance(item, tuple):
         for each in item:

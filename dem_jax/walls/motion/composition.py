@@ -132,8 +132,9 @@ def build_motions(
     for section in sorted(sections, key=_innermost_kind_index, reverse=True):
         unit_axis(section)
         pivot[:, groups.index(section.group)] = section.pivot
+    still = {group: Motion(group=group) for group in groups}
     for kind in MOTION_KINDS:
-        rows = {group: Motion(group=group) for group in groups}
+        rows = dict(still)
         for section in filter(kind.is_requested, sections):
             if kind.is_requested(rows[section.group]):
                 name = kind.__name__.lower()
