@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
-from dem_jax.user_cache import hash_files
+from dem_jax.user_cache import hash_package_files
 
 T = TypeVar("T")
 
@@ -191,9 +191,8 @@ def _describe_machine() -> tuple[str, ...]:
 
 
 def _hash_sources() -> str:
-    here = Path(__file__).parent
     patterns = [name if name.endswith(".py") else f"{name}/**/*.py" for name in SOURCES]
-    return hash_files(here, "program_store.py", *patterns)
+    return hash_package_files("program_store.py", *patterns)
 
 
 def _name_processor() -> str:

@@ -2,7 +2,10 @@
 
 import hashlib
 import os
+from functools import cache
 from pathlib import Path
+
+PACKAGE = Path(__file__).parent
 
 
 def find_user_cache(program: str = "dem_jax") -> Path | None:
@@ -15,10 +18,11 @@ def find_user_cache(program: str = "dem_jax") -> Path | None:
     return None
 
 
-def hash_files(folder: Path, *patterns: str) -> str:
-    """Hash of the names and contents of files of a folder. patterns: as of ``Path.glob``."""
+@cache
+def hash_package_files(*patterns: str) -> str:
+    """Hash of the names and contents of files of this package. patterns: as of ``Path.glob``."""
     found = hashlib.sha256()
-    for path in sorted({path for pattern in patterns for path in folder.glob(pattern)}):
-        found.update(f"{path.relative_to(folder)}".encode())
+    for path in sorted({path for pattern in patterns for path in PACKAGE.glob(pattern)}):
+        found.update(f"{path.relative_to(PACKAGE)}".encode())
         found.update(path.read_bytes())
     return found.hexdigest()

@@ -5,15 +5,13 @@ on the first page.
 import json
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dem_jax.io.atomic_files import replace_file
-from dem_jax.user_cache import find_user_cache, hash_files
+from dem_jax.user_cache import find_user_cache, hash_package_files
 
-PACKAGE = Path(__file__).parent.parent
 SOURCES = ("**/*.py", "**/*.toml", "**/*.stl")  # of the package; of these cards are made
 
 
@@ -40,4 +38,4 @@ def recall_cards(name: str, compute: Callable[[], list[Any]]) -> list[Any]:
 
 def hash_sources() -> str:
     """Hash of the files of the package, and the version of numpy."""
-    return f"{hash_files(PACKAGE, *SOURCES)} {np.__version__}"
+    return f"{hash_package_files(*SOURCES)} {np.__version__}"

@@ -5,6 +5,7 @@ process.
 import json
 import tomllib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -372,17 +373,13 @@ def describe_shares(path: str) -> ShareFacts | None:
     return ShareFacts(UNCERTAINTY_TITLE, SHARES_CAPTION, lines, picture)
 
 
-def remove_empty_results(path: str) -> bool:
-    """Whether a file of results was removed, as its run was ended before it had computed a sample."""
+def remove_empty_results(path: str) -> None:
+    """Remove a file of results whose run was ended before it had computed a sample."""
     from dem_jax.io.run_files import load_restart
 
-    try:
-        samples = load_restart(path)[2]
-    except RecordError:  # it is damaged, which the page says
-        return False
-    if samples == 0:
-        Path(path).unlink()
-    return samples == 0
+    with suppress(RecordError):  # it is damaged, which the page says
+        if load_restart(path)[2] == 0:
+            Path(path).unlink()
 
 
 def _load(path: str) -> Any:

@@ -209,8 +209,9 @@ def _place_scene(
         *(getattr(scene, name) for name in WALL_SECTIONS),
         scene.folder,
     )
-    laid = reuse.get("walls", lambda: lay_out_walls(scene), of_walls)
-    panels, motions, joint, blocks, regions = laid
+    panels, motions, joint, blocks, regions = reuse.get(
+        "walls", lambda: lay_out_walls(scene), of_walls
+    )
     plan = plan_exchange(scene, panels, regions, shapes)
     waiting = goods.numbers[-1] if scene.inlet else 0
     regions = list_start_boxes(scene, panels, regions, goods.numbers, shapes)

@@ -4,7 +4,7 @@ import hashlib
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +20,8 @@ from dem_jax.runner.job import Job
 from dem_jax.runner.job_setup import prepare_job
 from dem_jax.runner.progress import Progress
 from dem_jax.scene import Scene
-from dem_jax.user_cache import hash_files
+from dem_jax.user_cache import hash_package_files
 
-PACKAGE = Path(__file__).parent.parent
 MOST_FILES = 8  # of settled portions, each of some MB
 STATES = ("start", "state")  # of a chunk
 _KEPT: list[Job] = []  # the last one
@@ -44,18 +43,17 @@ def settle_ahead(scene: Scene, seed: int, may_go_on: Callable[[], bool]) -> None
     job = prepare_job(scene, (seed,), None)
     compile_program(job)
     name = _name_file(job)
-    _KEPT.append(job)
-    if spans := program_store.load(name, lambda content: _read_chunks(job, content)):
-        _KEPT[0] = replace(job, ahead=spans)
-        return
-    spans, is_released = _settle(job, may_go_on)
-    _KEPT[0] = replace(job, ahead=spans)
-    if is_released and all(span.system is job.system for span in spans):
-        program_store.save(name, _write_chunks(spans), MOST_FILES)
+    spans = program_store.load(name, partial(_read_chunks, job))
+    if spans is None:
+        spans = _settle(job, may_go_on)
+        is_released = bool(spans) and spans[-1].find_next(job.samples) >= 0
+        if is_released and all(span.system is job.system for span in spans):
+            program_store.save(name, _write_chunks(spans), MOST_FILES)
+    _KEPT.append(replace(job, ahead=spans))
 
 
-def _settle(job: Job, may_go_on: Callable[[], bool]) -> tuple[tuple[ChunkResult, ...], bool]:
-    """The first chunks of a job, and whether the portion is released after them."""
+def _settle(job: Job, may_go_on: Callable[[], bool]) -> tuple[ChunkResult, ...]:
+    """The first chunks of a job, up to the release."""
     spans, at = [], job.sample_index(job.state)
     with jax.enable_x64(job.is_double), Progress(job, False) as shown:
         chunks = loop.iterate_chunks(job, shown)
@@ -65,7 +63,7 @@ def _settle(job: Job, may_go_on: Callable[[], bool]) -> tuple[tuple[ChunkResult,
                 break
             spans.append(span)
             at = span.find_next(job.samples)
-    return tuple(spans), at >= 0
+    return tuple(spans)
 
 
 def _name_file(job: Job) -> str | None:
@@ -76,10 +74,8 @@ def _name_file(job: Job) -> str | None:
     for leaf in jax.tree.leaves((job.system, job.state)):
         values.update(np.asarray(leaf).tobytes())
     scene = job.scene.model_copy(update={"name": ""}).model_dump_json()
-    sources = hash_files(PACKAGE, "**/*.py")
-    return program_store.find_name(
-        "settled", (job.system, job.state), values.hexdigest(), scene, sources
-    )
+    options = values.hexdigest(), scene, hash_package_files("**/*.py")
+    return program_store.find_name("settled", (job.system, job.state), *options)
 
 
 def _write_chunks(spans: tuple[ChunkResult, ...]) -> bytes:

@@ -49,10 +49,8 @@ def test_a_settled_run_has_the_bits_of_another(most):
 @pytest.fixture
 def files(tmp_path):
     """The folder of the store of programs, empty."""
-    before = program_store._folder
     program_store.use_folder(tmp_path)
-    yield tmp_path
-    program_store.use_folder(before)
+    return tmp_path
 
 
 def settle_from_file(monkeypatch, scene, seed):
@@ -90,9 +88,19 @@ def test_a_damaged_file_is_computed_anew_and_the_oldest_are_removed(files, monke
     assert program.exists(), "programs are counted by themselves"
 
 
-def test_a_portion_that_is_not_settled_leaves_no_file(files):
-    settled_ahead.settle_ahead(SCENE, 5, lambda: False)
+@pytest.mark.parametrize(
+    "goes_on, changes", [(False, {}), (True, {"portion.arrangement": "scattered"})]
+)
+def test_a_portion_that_does_not_settle_leaves_no_file(files, goes_on, changes):
+    settled_ahead.settle_ahead(SCENE.replace(changes), 5, lambda: goes_on)
     assert not list(files.glob("settled-*"))
+
+
+def test_a_portion_that_cannot_settle_leaves_nothing(files, monkeypatch):
+    monkeypatch.setattr(settled_ahead, "_settle", Mock(side_effect=SceneError("overlap")))
+    with pytest.raises(SceneError):
+        settled_ahead.settle_ahead(SCENE, 5, lambda: True)
+    assert not settled_ahead._KEPT
 
 
 def test_a_portion_at_rest_is_released_early():

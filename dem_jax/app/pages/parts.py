@@ -332,13 +332,9 @@ def find_span(
     ]
     for curve in filter(None, forces):
         greatest = max(curve.value, default=0.0)
-        strong = [
-            time
-            for time, value in zip(curve.time, curve.value, strict=True)
-            if value > LEAST_IMPACT * greatest
-        ]
         if greatest > 0.0:
-            times += [strong[0], curve.time[curve.value.index(greatest)]]
+            strong = (k for k, x in enumerate(curve.value) if x > LEAST_IMPACT * greatest)
+            times += [curve.time[k] for k in (next(strong), curve.value.index(greatest))]
     if not times:
         return None
     low, high = min(times), max(times)
