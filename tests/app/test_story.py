@@ -256,6 +256,11 @@ def test_a_bucket_is_dragged_and_moved_by_numbers(page):
     page.get_by_text("100 g asked, 6 pieces = 108 g").wait_for()
 
 
+NOTHING_FADES = """() => document.getAnimations().every(
+  (each) => each.playState !== "running" || each.effect.getComputedTiming().endTime === Infinity)"""
+# a text that fades in has less contrast meanwhile
+
+
 @pytest.mark.parametrize("width", WIDTHS)
 def test_each_page_is_accessible_and_as_wide_as_the_screen(page, width):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
@@ -263,6 +268,7 @@ def test_each_page_is_accessible_and_as_wide_as_the_screen(page, width):
     for title in PAGES:
         step(page, title)
         page.wait_for_timeout(300)
+        page.wait_for_function(NOTHING_FADES)
         found = axe.run(page)
         serious = [
             v for v in found.response["violations"] if v["impact"] in ("serious", "critical")
